@@ -61,3 +61,12 @@ def gradients_with_and_without_an_end(observed, grasp, state):
 
     cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
     return [jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut)]
+
+
+def runge_kutta_step(slope, y, h):
+    """A step of the classic method of Runge and Kutta, of fourth order, for y' = slope(y)."""
+    first = np.asarray(slope(y))
+    second = np.asarray(slope(y + 0.5 * h * first))
+    third = np.asarray(slope(y + 0.5 * h * second))
+    fourth = np.asarray(slope(y + h * third))
+    return y + h / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)

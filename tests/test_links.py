@@ -14,7 +14,8 @@ from jaxroll._mechanics import to_leaves
 from jaxroll.contact import links_apart, links_clearance3
 from tests.recorded import runs
 
-CENTRE, RADIUS, THICK, HOLDER = np.array([0.03, 0.1]), 0.02, 0.004, 0.006
+CENTRE, RADIUS, TIP = np.array([0.03, 0.1]), 0.02, 0.01
+THICK, HOLDER = 0.004, 0.006
 RATE, LENGTH = 3.0, 0.12
 
 
@@ -26,11 +27,16 @@ def resting(t, angles, rates, tips):
 def swept(base, angle):
     """A disc that a finger touches, and a straight link that swings at it or at the finger: one program."""
     disc = jxr.PivotedObject(jxr.Circle(RADIUS), inertia=1e-3, pivot=CENTRE)
-    first = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(0.01), link_radius=HOLDER)
+    first = jxr.Finger([0.065, 0.065], [0.045, 0.040], jxr.Circle(TIP), link_radius=HOLDER)
     other = jxr.Finger([LENGTH], [0.045], jxr.Circle(0.002), base=base, link_radius=THICK)
-    grasp = jxr.Grasp(disc, [first, other], jxr.Contact(0.0, 0.06), controller=resting)
-    guess = jxr.State(jnp.array([0.0, 1.9, -0.7, angle]), jnp.zeros(4).at[3].set(RATE), jnp.zeros(1))
-    return jxr.close(grasp, guess, hold=["finger 1"])
+    # The first tip touches the disc in this direction from its centre; both links of the finger are alike.
+    towards = 2.5
+    tip = CENTRE + (RADIUS + TIP) * np.array([np.cos(towards), np.sin(towards)])
+    bend = np.arccos(np.hypot(*tip) / 0.13)
+    joints = np.arctan2(tip[1], tip[0]) + bend, -2.0 * bend
+    contact = jxr.Contact(TIP * (towards - np.pi - sum(joints)), RADIUS * towards)
+    grasp = jxr.Grasp(disc, [first, other], contact, controller=resting)
+    return grasp, jxr.State([0.0, *joints, angle], [0.0, 0.0, 0.0, RATE], [0.0])
 
 
 def along(ends, count=4001):

@@ -1,5 +1,6 @@
 """Controllers with a memory: integral terms, samples that are held, laws of one's own with a state."""
 
+import functools
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -11,12 +12,13 @@ import numpy as np
 import pytest
 
 import jaxroll as jxr
+from jaxroll._analysis._loci import _loci
 from jaxroll._mechanics import AbstractController
 from jaxroll._motion import check_due
 from jaxroll.commands import Declared
 from jaxroll.control import Integral, Sampled
 from jaxroll.loads import Drag, Impulse, Spring
-from tests.measures import both_ways
+from tests.measures import both_ways, runge_kutta_step
 from tests.oracles import reference_space as reference
 from tests.oracles.chapter_part1 import JOINTS, Part1
 from tests.recorded import runs
@@ -186,29 +188,32 @@ def test_a_law_with_a_memory_in_space_against_the_augmented_system():
     check_energy(run)
 
 
-@pytest.mark.parametrize("scene", ["pinch", "pinch3d"])
-def test_every_error_is_fed_back_along_its_own_derivative(scene):
+THREE, OTHERS = ("x", "y", "opening"), ("orientation_0", "orientation_1")
+
+
+@pytest.mark.parametrize(
+    ("scene", "names"),
+    [("pinch", THREE), ("pinch", (*OTHERS, "tilt")), ("pinch3d", (*THREE, *OTHERS, "z"))],
+)
+def test_every_error_is_fed_back_along_its_own_derivative(scene, names):
     """The torques -g z de/dq of each by itself, against differences of the error that is integrated."""
     grasp, state = runs.scene(scene)
-    gains, size, first = np.array([2.0, 3.0, 5.0]), 1e-5, grasp.form.positions[0]
-    for names in (
-        ("x", "y", "opening"),
-        ("orientation_0", "orientation_1", "z" if grasp.spatial else "tilt"),
-    ):
-        acted = grasp.with_(controller=Integral(None, dict.fromkeys(names, 0.37), gains))
-        field = jxr.vector_field(acted)
-        ahead = np.concatenate([state.v, state.s, np.zeros(3)])
-        errors = jax.jit(lambda q: field(0.0, jnp.concatenate([q, ahead]))[-3:])  # noqa: B023
-        slopes = []
-        for i in range(first, state.q.shape[0]):
-            step = size * np.eye(state.q.shape[0])[i]
-            ends = [np.asarray(errors(np.asarray(state.q) + way * step)) for way in (-1, 1)]
-            slopes.append((ends[1] - ends[0]) / (2 * size))
-        for k in range(3):
-            held = jxr.State(state.q, state.v, state.s, 0.7 * np.eye(3)[k])
-            torques = np.concatenate(jxr.torques(acted, 0.0, held))
-            np.testing.assert_allclose(torques, -0.7 * gains[k] * np.array(slopes)[:, k], rtol=0, atol=1e-8)
-            assert np.abs(torques).max() > 1e-3
+    count, size, first = len(names), 1e-5, grasp.form.positions[0]
+    gains = np.array([2.0, 3.0, 5.0, 1.0, 4.0, 6.0])[:count]
+    acted = grasp.with_(controller=Integral(None, dict.fromkeys(names, 0.37), gains))
+    field = jxr.vector_field(acted)
+    ahead = np.concatenate([state.v, state.s, np.zeros(count)])
+    errors = jax.jit(lambda q: field(0.0, jnp.concatenate([q, ahead]))[-count:])
+    slopes = []
+    for i in range(first, state.q.shape[0]):
+        step = size * np.eye(state.q.shape[0])[i]
+        ends = [np.asarray(errors(np.asarray(state.q) + way * step)) for way in (-1, 1)]
+        slopes.append((ends[1] - ends[0]) / (2 * size))
+    for k in range(count):
+        held = jxr.State(state.q, state.v, state.s, 0.7 * np.eye(count)[k])
+        torques = np.concatenate(jxr.torques(acted, 0.0, held))
+        np.testing.assert_allclose(torques, -0.7 * gains[k] * np.array(slopes)[:, k], rtol=0, atol=1e-8)
+        assert np.abs(torques).max() > 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -374,27 +379,43 @@ class PI(eqx.Module):
         return torques, 0.5 * memory + 1e-3 * (tips[0].position[1] - 0.1)
 
 
-def test_a_law_of_ones_own_and_noise(pinch):
+LINK, TIP, DISC = 0.05, 0.01, 0.02
+BASES = np.array([[-1.0, 0.0], [1.0, 0.0]]) * (TIP + DISC) - [0.0, LINK]
+
+
+def disc_between_links(law):
+    """A disc between two upright fingers of one link each, which move to and fro with it; and the start."""
+    fingers = [jxr.Finger([LINK], [0.02], jxr.Circle(TIP), base=base) for base in BASES]
+    # The tips' axes point upwards: the left one touches a quarter of a turn behind its axis.
+    quarter = 0.5 * np.pi
+    contacts = [
+        jxr.Contact(-quarter * TIP, np.pi * DISC, finger=0),
+        jxr.Contact(quarter * TIP, 0.0, finger=1),
+    ]
+    grasp = jxr.Grasp(jxr.FreeObject(jxr.Circle(DISC), 0.05, 1e-5), fingers, contacts, controller=law)
+    return grasp, jxr.State([0.0, 0.0, 0.0, quarter, quarter], np.zeros(5), np.zeros(2))
+
+
+def test_a_law_of_ones_own_and_noise():
     """Noise is drawn from the key and the number of the sample, and the tips fit the angles as measured."""
-    grasp, state = pinch
     key = jax.random.key(3)
     law = Sampled(PI(jnp.zeros(1)), 0.002, angle_noise=1e-3, rate_noise=0.1, key=key)
-    acted = grasp.with_(controller=law)
+    acted, state = disc_between_links(law)
     run = jxr.simulate(acted, state, 0.012, ts=0.002 * np.arange(7), rtol=1e-10)
     finer = jxr.simulate(acted, state, 0.012, ts=np.linspace(0.0005, 0.012, 7), rtol=1e-10)
     np.testing.assert_allclose(run.last.q, finer.last.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.last.memory, finer.last.memory, rtol=0, atol=1e-8)
-    bodies = Part1(np.zeros(2))
     memory = np.zeros(1)
     for k in range(7):
-        drawn = np.asarray(jax.random.normal(jax.random.fold_in(key, k), (10,)))
-        X, v = np.array(run.states.q[k]), np.array(run.states.v[k])
-        X[3:], v[3:] = X[3:] + 1e-3 * drawn[:5], v[3:] + 0.1 * drawn[5:]
-        (r1, J1, _), (r2, J2, _) = bodies.places(X)
-        pull = 20.0 * (r1 - r2)
-        u = np.concatenate([-J1.T @ pull, J2.T @ pull]) - 0.006 * v[3:] - memory
-        memory = 0.5 * memory + 1e-3 * (r1[1] - 0.1)
-        np.testing.assert_allclose(run.states.memory[k, 1:6], u, rtol=0, atol=1e-12)
+        drawn = np.asarray(jax.random.normal(jax.random.fold_in(key, k), (4,)))
+        angles = np.array(run.states.q[k, 3:]) + 1e-3 * drawn[:2]
+        rates = np.array(run.states.v[k, 3:]) + 0.1 * drawn[2:]
+        links = LINK * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        tips, slopes = BASES + links, links[:, ::-1] * [-1.0, 1.0]
+        pull = 20.0 * (tips[0] - tips[1])
+        u = slopes @ pull * [-1.0, 1.0] - 0.006 * rates - memory
+        memory = 0.5 * memory + 1e-3 * (tips[0, 1] - 0.1)
+        np.testing.assert_allclose(run.states.memory[k, 1:3], u, rtol=0, atol=1e-12)
         np.testing.assert_allclose(run.states.memory[k, :1], memory, rtol=0, atol=1e-15)
 
 
@@ -737,29 +758,30 @@ def slowed(numbers, t, q, v, tip):
     return (brake * v[0] + constant,)
 
 
+slope_of = jax.jit(lambda field, y: field(0.0, y))
+
+
 @pytest.mark.parametrize("sampled", [False, True], ids=["integral", "sampled"])
 def test_loci_have_the_accelerations_of_a_controller_with_a_memory(sampled):
-    """By differences of the contact points, which a run gives under the torques that its memory asks for."""
-    finger = jxr.Finger3([(1, 0, 0), (0, 0, 1)], [(0, 0.05, 0), (0, 0.05, 0)], [0.02, 0.02], jxr.Sphere(0.01))
+    """By differences of the contact points, which move under the torques that its memory asks for."""
+    finger = jxr.Finger3([(0, 0, 1)], [(0, 0.1, 0)], [0.02], jxr.Sphere(0.01))
     ball = jxr.FreeObject3(jxr.Sphere(0.02), 0.05, 8e-6)
     grasp = jxr.Grasp(ball, [finger], [jxr.Contact3()], gravity=(0, 0, -9.81))
-    # The tip touches the ball at (0.01, 0.1, 0), moves there by (-0.1, 0.02, 0.1) and turns by (1, 0, 2).
-    q, places = [0.03, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.01, 0.0, 0.0, -0.02, 0.0, 0.0]
-    v = [-0.1, 0.04, 0.08, 1.0, 1.0, 1.0, 1.0, 2.0]
-    state = jxr.State(q, v, places)
-    held = np.array([3e-4, -2e-3])
-    *numbers, gain = map(jnp.asarray, (0.0, held, 0.0) if sampled else (-0.01, np.zeros(2), 2.0))
+    # The tip touches the ball at (0.01, 0.1, 0), moves there by (-0.2, 0.02, 0) and turns by (0, 0, 2).
+    q, places = [0.03, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], [0.01, 0.0, 0.0, -0.02, 0.0, 0.0]
+    v = [-0.2, 0.04, -0.02, 1.0, 1.0, 1.0, 2.0]
+    held = np.array([-2e-3])
+    *numbers, gain = map(jnp.asarray, (0.0, held, 0.0) if sampled else (-0.01, np.zeros(1), 2.0))
     law = jax.tree_util.Partial(slowed, numbers)
     grasp = grasp.with_(controller=Integral(law, {"x": 0.0}, gain))
-    h = 1e-4
-    ts = 0.035 + h * np.arange(-2.0, 3.0)
-    run = jxr.simulate(grasp, state, 0.04, ts=ts, events=(), rtol=1e-11)
+    slope, h = functools.partial(slope_of, jxr.vector_field(grasp)), 1e-4
+    begin, ts = np.concatenate([q, v, places, [-0.03]]), h * np.arange(-2.0, 3.0)
+    parts = np.split(np.stack([runge_kutta_step(slope, begin, t) for t in ts]), [8, 15, 21], axis=1)
     if sampled:
         # Between samples what is held is constant, whatever the law would say now.
         grasp = grasp.with_(controller=Sampled(lambda t, q, v, tip: (0.01 * q[0] - 0.002 * v[0],), 0.02))
-        memory = np.tile(np.append(held, 0.04), (5, 1))
-        run = replace(run, states=replace(run.states, memory=memory))
-    locus = jxr.loci(grasp, run).object
+        parts[3] = np.tile(np.append(held, 0.04), (5, 1))
+    locus = _loci(grasp, ts, jxr.State(*parts)).object
     p = np.asarray(locus.point)[0]
     v = (p[0] - 8 * p[1] + 8 * p[3] - p[4]) / (12 * h)
     a = (-p[0] + 16 * p[1] - 30 * p[2] + 16 * p[3] - p[4]) / (12 * h**2)

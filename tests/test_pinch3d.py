@@ -231,7 +231,7 @@ def test_close_out_of_reach_names_the_worst_row():
 
 
 def test_close_refuses_an_object_without_an_orientation():
-    grasp, state = jxr.scenes.pinch3d()
+    grasp, state = jxr.scenes.incline()
     guess = jxr.State(state.q.at[3:7].set(0.0), state.v, state.s)
     with pytest.raises(ValueError, match=r"argument guess must have a quaternion .* in q\[3:7\]"):
         jxr.close(grasp, guess)
@@ -240,7 +240,7 @@ def test_close_refuses_an_object_without_an_orientation():
 @pytest.mark.parametrize("length", [1.0 - 2e-4, 1.0 + 2e-4, 2.0])
 def test_a_quaternion_that_would_bend_the_object_is_refused(length):
     """Of one state and of several; four decimals, steps of differences and rows without numbers are not."""
-    grasp, state = jxr.scenes.pinch3d()
+    grasp, state = jxr.scenes.incline()
     at = lambda q: jxr.State(q, state.v, state.s)  # noqa: E731
     many = lambda q: jax.tree.map(lambda x: jnp.stack([x, x]), at(q))  # noqa: E731
     words = r"argument states?\.q must hold a unit quaternion in q\[3:7\], but its length was "

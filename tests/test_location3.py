@@ -53,24 +53,22 @@ def gap_and_all(axes_a, axes_b, pose_a, pose_b):
 
 
 # Where two ellipsoids are nearest, and before that the derivatives of their gap in both poses.
-slopes_and_met = jax.jit(jax.vmap(jax.grad(gap_and_all, argnums=(2, 3), has_aux=True)))
-# Pairs that are located at once: every test asks for so many, so that it is one program.
-LANES = 10
+slopes_and_met = jax.jit(jax.grad(gap_and_all, argnums=(2, 3), has_aux=True))
+
+
+def slopes_and_met_of(*given):
+    """The same as NumPy's arrays. All tests ask for one pair at a time, so that it is one program."""
+    return jax.device_get(slopes_and_met(*(np.asarray(x, float) for x in given)))
+
+
+def met_one(*given):
+    """Where a pair of ellipsoids is nearest."""
+    return slopes_and_met_of(*given)[1]
 
 
 def met(*given):
     """Where pairs of ellipsoids are nearest."""
-    return jax.device_get(slopes_and_met(*given)[1])
-
-
-def slopes_and_met_of(*given):
-    """The same of a single pair."""
-    found = slopes_and_met(*(np.tile(x, (LANES, 1)) for x in given))
-    return jax.tree.map(lambda x: x[0], jax.device_get(found))
-
-
-def met_one(*given):
-    return slopes_and_met_of(*given)[1]
+    return jax.tree.map(lambda *rows: np.stack(rows), *(met_one(*pair) for pair in zip(*given, strict=True)))
 
 
 def balls(radii, pose_a, pose_b):
@@ -112,21 +110,25 @@ def test_concentric_balls_are_not_unique():
     np.testing.assert_allclose(float(found.gap), -0.01, atol=1e-15)
 
 
-@pytest.mark.parametrize("height", [0.03, 0.01, 0.004, -0.02])
-def test_sphere_and_plane_either_way(height):
-    """At any depth, since it is the sphere that is walked."""
-    ball, floor = posed((0.2, 0.1, height)), STILL
-    for swapped in (False, True):
-        pair, poses = (Sphere(0.01), Plane()), (ball, floor)
-        if swapped:
-            pair, poses = pair[::-1], poses[::-1]
-        found = locate_surfaces(*pair, pose_a=poses[0], pose_b=poses[1])
-        assert found.result == SUCCESS and bool(found.unique)
-        np.testing.assert_allclose(float(found.gap), height - 0.01, atol=1e-15)
-        expected = np.array([[0.2, 0.1, height - 0.01], [0.2, 0.1, 0.0]])
-        np.testing.assert_allclose(found.points, expected[::-1] if swapped else expected, atol=1e-15)
-        np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0 if swapped else 1.0], atol=1e-14)
-        np.testing.assert_allclose(found.at_a if swapped else found.at_b, [0.2, 0.1, 0.0], atol=1e-15)
+@pytest.mark.parametrize("swapped", [False, True])
+def test_sphere_and_plane_either_way(swapped):
+    """At any depth, since it is the sphere that is walked; one by one, and with `vmap` all at once."""
+    heights = np.array([0.03, 0.01, 0.004, -0.02])
+    balls = [posed((0.2, 0.1, height)) for height in heights]
+    if swapped:
+        met = jax.vmap(lambda ball: locate_surfaces(Plane(), Sphere(0.01), pose_a=STILL, pose_b=ball))
+        found = met(np.stack(balls))
+    else:
+        each = [locate_surfaces(Sphere(0.01), Plane(), pose_a=ball, pose_b=STILL) for ball in balls]
+        found = jax.tree.map(lambda *rows: np.stack(rows), *each)
+    assert np.all(found.result == SUCCESS) and np.all(found.unique)
+    np.testing.assert_allclose(found.gap, heights - 0.01, atol=1e-15)
+    floor = np.tile([0.2, 0.1, 0.0], (4, 1))
+    expected = np.stack([floor + (heights - 0.01)[:, None] * [0.0, 0.0, 1.0], floor], axis=1)
+    np.testing.assert_allclose(found.points, expected[:, ::-1] if swapped else expected, atol=1e-15)
+    normals = np.tile([0.0, 0.0, -1.0 if swapped else 1.0], (4, 1))
+    np.testing.assert_allclose(found.normal, normals, atol=1e-14)
+    np.testing.assert_allclose(found.at_a if swapped else found.at_b, floor, atol=1e-15)
 
 
 @functools.cache
@@ -173,8 +175,7 @@ def widest(axes, poses, starts):
 
 def test_two_ellipsoids_against_scipy():
     axes, poses, gaps = ellipsoids()
-    parts = zip(*(np.reshape(x, (-1, LANES, x.shape[-1])) for x in (*axes, *poses)), strict=True)
-    found = jax.tree.map(lambda *rows: np.concatenate(rows), *(met(*part) for part in parts))
+    found = met(*axes, *poses)
     assert np.all(np.asarray(found.result == SUCCESS)) and np.all(np.asarray(found.unique))
     assert float(found.residual.max()) <= 1e-12
     np.testing.assert_allclose(found.gap, gaps, atol=1e-15)
@@ -186,14 +187,14 @@ def test_two_ellipsoids_against_scipy():
 
 def test_ellipsoids_of_equal_half_axes_are_the_balls_that_they_are():
     """Long steps from samples far away end a little inside of an implicit surface: lower than all of it."""
-    rng = np.random.default_rng(3)
-    way, turns = rng.normal(size=(LANES, 3)), rng.normal(size=(2, LANES, 4))
-    gaps = np.geomspace(1e-9, 1e-4, LANES) * (-1.0) ** np.arange(LANES)
+    rng, count = np.random.default_rng(3), 10
+    way, turns = rng.normal(size=(count, 3)), rng.normal(size=(2, count, 4))
+    gaps = np.geomspace(1e-9, 1e-4, count) * (-1.0) ** np.arange(count)
     centres = way * ((0.03 + gaps) / np.linalg.norm(way, axis=1))[:, None]
     poses = [
         np.concatenate([where, turn], axis=1) for where, turn in zip((centres, 0.0 * way), turns, strict=True)
     ]
-    found = met(np.full((LANES, 3), 0.01), np.full((LANES, 3), 0.02), *poses)
+    found = met(np.full((count, 3), 0.01), np.full((count, 3), 0.02), *poses)
     assert np.all(found.result == SUCCESS)
     np.testing.assert_allclose(found.gap, gaps, rtol=0, atol=1e-15)
 

@@ -139,5 +139,5 @@ def test_rattleback_reverses():
 
 def test_rattleback_keeps_the_right_way():
     body, p, w = cf.rattleback()
-    P, _, W = body.simulate(p, -w, np.linspace(0, 3, 7))
+    P, _, W = body.simulate(p, -w, np.linspace(0, 3, 7), rtol=1e-8)  # it is stable: nothing grows
     assert body.history(P, W)[0].min() > 4.8

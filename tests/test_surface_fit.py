@@ -76,6 +76,7 @@ def test_noisy_ellipsoid():
     assert abs(fit.report.rms / NOISE - 1.0) < 0.05
     assert abs(fit.report.area / 2.3e-3 - 1.0) < 0.5
     assert "wavelength 22 mm" in str(fit.report)
+    assert fit.report.verdict.startswith("the points lie")  # it encloses a body
 
 
 @pytest.mark.slow
@@ -174,12 +175,9 @@ def test_points_exactly_on_a_line_or_in_a_plane_are_refused_in_a_sentence(presse
         fit_surface(u * np.array(pressed))
 
 
-@pytest.mark.parametrize(
-    "lowest, words", [(0.0, "not to be trusted: it encloses no body"), (-1.0, "the points lie")]
-)
-def test_a_fit_that_encloses_no_body_says_so(lowest, words):
-    """Half a ball without its bottom, whose field leaves the grid open, and a whole one."""
+def test_a_fit_that_encloses_no_body_says_so():
+    """Half a ball without its bottom, whose field leaves the grid open."""
     u = np.random.default_rng(0).normal(size=(2000, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
-    fit = fit_surface(0.02 * u[u[:, 2] >= lowest], smoothing=0.02)
-    assert fit.report.verdict.startswith(words)
+    fit = fit_surface(0.02 * u[u[:, 2] >= 0.0], smoothing=0.02)
+    assert fit.report.verdict.startswith("not to be trusted: it encloses no body")

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 UP = np.array([0.0, 0.0, 1.0])
 SOLID = 2 / 5
 STEP = 1e-30  # of the complex step
+IDENTITY = np.eye(3)
 
 
 def cross_matrix(a):
@@ -26,7 +27,7 @@ def cross_matrix(a):
 def quaternion_matrix(p):
     """Rotation of a unit quaternion."""
     u = cross_matrix(p[1:])
-    return np.eye(3) + 2 * (p[0] * u + u @ u)
+    return IDENTITY + 2 * (p[0] * u + u @ u)
 
 
 def exponential(a):
@@ -212,11 +213,11 @@ class Roller:
         velocity = quaternion_matrix(p) @ (cross_matrix(parts[1]) @ w)
         return np.concatenate([turning, velocity, self.spin_up(p, w, parts)[0]])
 
-    def simulate(self, p, w, ts, place=(0.0, 0.0)):
+    def simulate(self, p, w, ts, place=(0.0, 0.0), rtol=1e-12):
         """Quaternions, centres of mass and w (body axes) at `ts`, from a quaternion and w."""
         G, d, _ = self.parts(p, w)
         y0 = np.concatenate([p, place, [-d @ G], w])
-        y = integrated(lambda _, y: self.rates(y), y0, ts)
+        y = integrated(lambda _, y: self.rates(y), y0, ts, rtol)
         return y[:, :4], y[:, 4:7], y[:, 7:]
 
     def energy(self, p, w):

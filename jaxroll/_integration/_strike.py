@@ -16,6 +16,7 @@ from .._mechanics import check_states, compiled, Grasp, join, State, to_leaves
 from .._motion import Multipliers, split_forces, struck
 from .._printing import listed
 from .._results import check_instance, RESULTS
+from .._xla import sharing
 from ..loads import Impulse
 from ._arguments import check_choices
 from ._events import are_redundant, decode, OF_FORCES, refused_blow
@@ -88,7 +89,8 @@ def strike(
 def _strike(grasp: Grasp, state: State, blow: Impulse, events: tuple[str, ...]) -> Strike:
     """The blow, compiled as one program."""
     ready = grasp.prepared()
-    done = struck(ready, to_leaves(state, ready.form), [(blow, jnp.ones((), state.q.dtype))])
+    with sharing():  # in space it compiles in half the time
+        done = struck(ready, to_leaves(state, ready.form), [(blow, jnp.ones((), state.q.dtype))])
     no, number = refused_blow(ready, done, events)
     frames = [motion.pose for motion in done.motions]
     after = State(state.q, join(done.leaves.v), state.s, state.memory)

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from .._linalg import factorise, inner, plus, solve, total
 from .._mechanics import Grasp, Leaves, Moving
 from .._types import Scalar, Scalars
+from .._xla import once
 from ..contact import Motion, Rows
 from ..loads import Impulse
 from ._equations import bodies, object_force, touches
@@ -71,14 +72,14 @@ def struck(grasp: Grasp, leaves: Leaves, blows: Sequence[tuple[Impulse, Scalar]]
     # The object alone is hit: M^-1 p is zero for the fingers.
     gained = (solve(masses[0], push), *((0.0,) * size for size in grasp.sizes[1:]))
     free = combine(leaves.v, gained)
-    forces = balance(line, negative(closing(grasp, line, free)))
-    after = combine(free, respond(grasp, line, forces))
+    forces = once(balance(line, once(negative(closing(grasp, line, free)))))
+    after = once(combine(free, respond(grasp, line, forces)))
     mean = tuple(0.5 * plus(a, b) for a, b in zip(leaves.v[0], after[0], strict=True))
     drifts = zip(forces, line.drift, strict=True)
     moved = [inner(force, given) for force, given in drifts if given is not None]
     work = inner(push, mean) - total(moved)
     sizes = replace(line, jacobian=jax.tree.map(jnp.abs, line.jacobian))
-    momentum = balance(line, apply_jacobian(grasp, sizes, jax.tree.map(jnp.abs, free)))
+    momentum = balance(line, once(apply_jacobian(grasp, sizes, jax.tree.map(jnp.abs, free))))
     ended = Leaves(leaves.q, after, leaves.s, leaves.memory)
     return Struck(ended, forces, motions, touching, line, momentum, work)
 

@@ -13,6 +13,7 @@ from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed, so_many
 from .._results import as_array, check_instance, is_array_like, RESULTS, shown, traced
 from .._types import Given, Times
+from .._xla import quickly
 from ._dataset import dataset_of
 from ._dense import Dense, states_at
 from ._report import batch_report, report
@@ -147,21 +148,9 @@ class Trajectory(eqx.Module):
             >>> bool(jnp.isfinite(loss))
             True
         """
-        reached = jnp.all(jnp.isfinite(self.states.q), axis=-1)
-        # Lanes of a batch come before the axis of times.
-        count = jnp.sum(reached, axis=-1)
-        states = jax.tree.map(lambda rows, end: _filled(reached, rows, end), self.states, self.last)
-
-        def held(rows: Array) -> Array:
-            axis = reached.ndim - 1
-            at = jnp.expand_dims(jnp.maximum(count - 1, 0), range(axis, rows.ndim))
-            end = jnp.take_along_axis(rows, at, axis=axis).squeeze(axis)
-            some = (count > 0).reshape(*count.shape, *(1,) * (end.ndim - count.ndim))
-            return _filled(reached, rows, jnp.where(some, end, 0.0))
-
-        seen = jax.tree.map(held, (self.residuals, self.multipliers, self.energy))
         parts = lambda run: (run.states, run.residuals, run.multipliers, run.energy)  # noqa: E731
-        return eqx.tree_at(parts, self, (states, *seen), is_leaf=lambda x: x is None)
+        found = _all_filled(self.last, *parts(self))
+        return eqx.tree_at(parts, self, found, is_leaf=lambda x: x is None)
 
     def to_xarray(self) -> Any:
         """The run as an `xarray.Dataset`: names, units and labels beside the numbers. Needs the extra `data`.
@@ -205,6 +194,24 @@ class Trajectory(eqx.Module):
             so_many(rows[0], "state") if len(rows) == 1 else f"{' x '.join(map(str, rows)) or 'no'} states"
         )
         return f"Trajectory({code_name(self.result)}; {states})"
+
+
+@quickly
+def _all_filled(last: State, states: State, *others: Any) -> tuple[Any, ...]:
+    """Rows of states, and others beside them, as `Trajectory.filled` has them."""
+    reached = jnp.all(jnp.isfinite(states.q), axis=-1)
+    # Lanes of a batch come before the axis of times.
+    count = jnp.sum(reached, axis=-1)
+
+    def held(rows: Array) -> Array:
+        axis = reached.ndim - 1
+        at = jnp.expand_dims(jnp.maximum(count - 1, 0), range(axis, rows.ndim))
+        end = jnp.take_along_axis(rows, at, axis=axis).squeeze(axis)
+        some = (count > 0).reshape(*count.shape, *(1,) * (end.ndim - count.ndim))
+        return _filled(reached, rows, jnp.where(some, end, 0.0))
+
+    stood = jax.tree.map(lambda rows, end: _filled(reached, rows, end), states, last)
+    return stood, *jax.tree.map(held, others)
 
 
 def _filled(reached: Array, rows: Array, end: Array) -> Array:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxroll as jxr
+from tests.recorded import runs
 
 # Lines of the lowered programs with jax 0.10: a change that makes one more than 2 % longer is to say why, and
 # to write down the new number. Fewer lines are to be written down too.
@@ -23,7 +24,7 @@ _ALLOWED = 1.02
 
 def lines(scene: str, what: str) -> int:
     """Lines of a run over 0.2 s, or of its gradient in the controller's damping."""
-    grasp, state = getattr(jxr.scenes, scene)()
+    grasp, state = runs.scene(scene)
 
     def end(damping: jax.Array) -> jax.Array:
         return jxr.simulate(grasp.with_(damping=damping), state, 0.2, ts=1).last.q[0]

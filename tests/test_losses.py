@@ -79,10 +79,6 @@ def test_the_derivative_of_filled_rows_is_that_of_the_end():
     np.testing.assert_allclose(both(0.0)[1:], wanted, rtol=1e-7)
 
 
-def _spline_tip(points):
-    return jxr.Spline(points, closed=False, cells=256, origin=7).moved((0.01, 0.0)).moved(angle=-np.pi / 2)
-
-
 def _smooth_points(seed):
     """15 points of the chapter's catenary, with a few long waves of 0.3 mm."""
     rng, u = np.random.default_rng(seed), np.linspace(-1.0, 1.0, 15)
@@ -94,14 +90,15 @@ def _smooth_points(seed):
 
 @pytest.fixture(scope="module")
 def goal():
-    """Value and gradient: the object is to turn by 0.5 rad soon, and the run is to last."""
-    grasp, state = jxr.scenes.pivoted()
+    """Value and gradient: a disc on a hill of these points is to turn by 1 rad soon, and the run to last."""
+    grasp, state = disc_on_a_hill(gravity=(0.3, -9.8))
 
     def loss(points):
-        closed, start = jxr.close(grasp.with_tip(0, _spline_tip(points)), state)
-        run = jxr.simulate(closed, start, 0.5, ts=11, rtol=1e-6, throw=False, max_steps=512)
-        turned = run.filled().states.q[:, 0]
-        return jnp.mean((turned - turned[0] - 0.5) ** 2) + 0.5 * (0.5 - run.stats.t_end), run.result
+        hill = jxr.Spline(points, closed=False, cells=256, origin=7)
+        closed, start = jxr.close(grasp.with_tip(0, hill), state)
+        run = jxr.simulate(closed, start, 0.1, ts=11, rtol=1e-6, throw=False, max_steps=512)
+        turned = run.filled().states.q[:, 2]
+        return jnp.mean((turned - turned[0] + 1.0) ** 2) + 5.0 * (0.1 - run.stats.t_end), run.result
 
     return eqx.filter_jit(jax.value_and_grad(loss, has_aux=True))
 
@@ -110,7 +107,7 @@ def test_a_shape_that_its_table_does_not_resolve_says_so_and_stays_finite(goal):
     """One point 2 mm off, where they are 3 mm apart: told by the code, not by NaN."""
     points = _smooth_points(0).at[1, 0].add(2e-3)
     with pytest.raises(ValueError, match="argument cells must be more than 256"):
-        _spline_tip(points).curvature(0.0)
+        jxr.Spline(points, closed=False, cells=256, origin=7).curvature(0.0)
     (value, code), slope = goal(points)
     assert bool(code == jxr.RESULTS.unresolved)
     assert np.isfinite(value) and np.isfinite(slope).all()
@@ -153,7 +150,8 @@ def test_gradients_of_settling_time_and_peak_force_in_spline_points(solver, aske
     points = catenary_points(1 / 40, 0.02, 14)
 
     def values(x):
-        tip = _spline_tip(points + 1e-4 * x)
+        tip = jxr.Spline(points + 1e-4 * x, closed=False, cells=256, origin=7)
+        tip = tip.moved((0.01, 0.0)).moved(angle=-np.pi / 2)
         run = jxr.simulate(
             *jxr.close(grasp.with_tip(0, tip), state),
             1.5,

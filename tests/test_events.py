@@ -19,6 +19,7 @@ from jaxroll.geometry import frenet
 from tests.measures import both_ways
 from tests.subjects.disc_on_a_hill import disc_on_a_hill
 from tests.subjects.driven_plate import driven_plate
+from tests.subjects.rolling_disc import on_slope
 
 RTOL = 1e-10
 SHIFT = 3.363e-3  # arclength of the object's contour at its vertex (80)-(81)
@@ -48,31 +49,27 @@ def test_within_a_step_its_ends_and_slopes_give_a_cubic():
 
 def test_friction_cone_is_left_when_the_forces_say_so():
     """Against splines through 301 forces of a run without limits."""
-    (grasp, state), (little, _), (much, _) = (
-        disc_on_a_hill(reach=0.06, friction=mu) for mu in (None, 0.12, 5.0)
-    )
-    free = jxr.simulate(grasp, state, 0.2, ts=301, rtol=RTOL, events=(), record=("multipliers",))
+    (little, state), (much, _) = (disc_on_a_hill(reach=0.06, friction=mu) for mu in (0.12, 5.0))
+    free = jxr.simulate(little, state, 0.2, ts=301, rtol=RTOL, events=(), record=("multipliers",))
+    assert free.result == jxr.RESULTS.successful
     f, lam = (CubicSpline(free.ts, values[:, 0]) for values in (free.multipliers.f, free.multipliers.lam))
     when = brentq(lambda t: abs(lam(t)) - 0.12 * f(t), 0.01, 0.2)
     run = ends(little, state, t1=0.2)
     assert run.result == jxr.RESULTS.slipping
     assert abs(float(run.stats.t_end) - when) <= 1e-8
-    at_end = jxr.multipliers(grasp, run.stats.t_end, run.last)
+    at_end = jxr.multipliers(little, run.stats.t_end, run.last)
     assert abs(abs(at_end.lam[0]) / at_end.f[0] - 0.12) <= 1e-12
     assert ends(much, state, t1=0.2).result == jxr.RESULTS.successful
-    assert ends(little, state, t1=0.2, events=()).result == jxr.RESULTS.successful
 
 
-@pytest.mark.parametrize(("s", "sign"), [(0.009, 1.0), (-0.006, -1.0)])
-def test_a_friction_cone_has_two_sides(s, sign):
+@pytest.mark.parametrize("slope", [0.5, -0.4])
+def test_a_friction_cone_has_two_sides(slope):
     """Starts that need more friction than there is, to either side, end at once; a little more will do."""
-    grasp, state = jxr.scenes.pivoted(s=s)
-    force = jxr.multipliers(grasp, 0.0, state)
-    needed = float(force.lam[0] / force.f[0])
-    assert sign * needed > 0.2
-    short = ends(rubbing(grasp, 0.999 * abs(needed)), state, t1=1e-5)
+    needed = np.tan(abs(slope)) / 3.0
+    rolled = lambda share: ends(*on_slope(slope, friction=share * needed), t1=1e-5)  # noqa: E731
+    short = rolled(0.999)
     assert short.result == jxr.RESULTS.slipping and float(short.stats.t_end) == 0.0
-    assert ends(rubbing(grasp, 1.01 * abs(needed)), state, t1=1e-5).result == jxr.RESULTS.successful
+    assert rolled(1.01).result == jxr.RESULTS.successful
 
 
 def fading(t, angles, rates, tips):
@@ -145,35 +142,50 @@ def test_contour_ends_to_rounding(scene, face, tip):
     assert min(left) <= 1e-15 and max(left) > 0.01
 
 
-def slipping_disc(numbers):
-    """A disc that rolls down until its friction, the first of both numbers, does not suffice."""
-    return ends(*disc_on_a_hill(friction=numbers[0], mass=numbers[1]))
+@jax.jit
+def rolled_down(numbers, way, bar, t1):
+    """A disc that rolls down until it slips or its hill ends, by its friction, its mass and that end.
+
+    Time and state of its end, their derivative along a way, the gradient of a weighted sum, and the code.
+    """
+
+    def reached(numbers):
+        friction, mass, reach = numbers
+        run = ends(*disc_on_a_hill(friction=friction, mass=mass, reach=reach), t1=t1)
+        return jnp.concatenate([run.stats.t_end[None], run.last.q, run.last.v]), run.result._value
+
+    values, push, code = jax.linearize(reached, numbers, has_aux=True)
+    return values, push(way), jax.linear_transpose(push, numbers)(bar)[0], code
+
+
+def slipping_disc(numbers, way, bar):
+    """End and first coordinate of a disc that slips, by its friction and mass, and both derivatives."""
+    given = ([*numbers, 0.03], [*way, 0.0], [*bar, *np.zeros(5)])
+    values, along, slopes, _ = rolled_down(*map(jnp.array, given), 0.6)
+    return values[:2], along[:2], slopes[:2]
 
 
 def finger_at_an_end(numbers):
     """The pivoted scene, damped by the second number, at the contour's end that the first one is."""
     grasp, state = jxr.scenes.pivoted()
-    return ends(shortened(grasp.with_(damping=numbers[1]), numbers[0]), state, t1=2.0)
+    run = ends(shortened(grasp.with_(damping=numbers[1]), numbers[0]), state, t1=2.0)
+    return jnp.stack([run.stats.t_end, run.last.q[0]])
 
 
 @pytest.mark.parametrize(
-    ("ended", "point", "sizes"),
+    ("program", "point", "sizes"),
     [
         (slipping_disc, (0.12, 0.05), (1e-4, 1e-4)),
-        pytest.param(finger_at_an_end, (-0.0065, 0.006), (6.5e-6, 1e-5), marks=pytest.mark.slow),
+        pytest.param(both_ways(finger_at_an_end), (-0.0065, 0.006), (6.5e-6, 1e-5), marks=pytest.mark.slow),
     ],
+    ids=["slipping disc", "finger at an end"],
 )
-def test_gradient_of_the_event_time(ended, point, sizes):
+def test_gradient_of_the_event_time(program, point, sizes):
     """Both modes, in the limit and in a parameter of the motion, against central differences.
 
     The derivative of the last state is total: the event shifts as well.
     """
-
-    def seen(p):
-        run = ended(p)
-        return jnp.stack([run.stats.t_end, run.last.q[0]])
-
-    point, program, ending = np.array(point), both_ways(seen), np.array([1.0, 0.0])
+    point, ending = np.array(point), np.array([1.0, 0.0])
     along = lambda p, way: program(p, way, ending)[:2]  # noqa: E731
     reverse_of = lambda p: program(p, np.zeros(2), ending)[2]  # noqa: E731
     for way, found, step in zip(np.eye(2), reverse_of(point), sizes, strict=True):
@@ -185,7 +197,7 @@ def test_gradient_of_the_event_time(ended, point, sizes):
         assert abs(slopes[0] / differences[0] - 1) <= 1e-6
         # At a contour's end the damping does not move it at all.
         np.testing.assert_allclose(slopes[1], differences[1], rtol=1e-5, atol=1e-9)
-    if ended is slipping_disc:  # a run that is lost at once ends then whatever its numbers are
+    if program is slipping_disc:  # a run that is lost at once ends then whatever its numbers are
         lost = np.array([0.002, point[1]])
         for way in np.eye(2):
             values, slopes = along(lost, way)
@@ -215,17 +227,18 @@ def test_what_a_run_reached_has_a_gradient_though_the_rest_is_nan():
 def test_gradients_of_lanes_are_those_of_single_runs():
     """Lanes of lanes, some of which end on a contour's end: in both modes, with one record at a time."""
     masses, reaches = jnp.array([0.04, 0.05]), jnp.array([0.01, 0.025, 0.005])
+    weights = np.array([1.0, 1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 
     def found(mass, reach):
         run = ends(*disc_on_a_hill(mass=mass, reach=reach), t1=0.12)
         return jnp.sum(run.last.q + 0.1 * run.last.v) + run.stats.t_end, run.result._value
 
     over_both = lambda f, *rest: jax.vmap(jax.vmap(f, (None, 0, *rest)), (0, None, *rest))  # noqa: E731
-    reverse = jax.jit(over_both(jax.grad(found, argnums=(0, 1), has_aux=True)))
-    # A single lane, which is no batch, and a single one of a single one.
-    each = [[reverse(mass[None], reach[None]) for reach in reaches] for mass in masses]
-    expected = np.array([[np.ravel(slopes) for slopes, _ in row] for row in each])
-    codes = np.array([[int(code[0, 0]) for _, code in row] for row in each])
+    # A friction that always suffices.
+    alone = lambda *numbers: rolled_down(np.array([9.0, *numbers]), np.zeros(3), weights, 0.12)[2:]  # noqa: E731
+    each = [[alone(mass, reach) for reach in reaches] for mass in masses]
+    expected = np.array([[slopes[1:] for slopes, _ in row] for row in each])
+    codes = np.array([[int(code) for _, code in row] for row in each])
     assert len(np.unique(codes)) == 2 and (expected[codes > 0][:, 1] != 0).all()
 
     def both_modes(mass, reach, way):
@@ -279,11 +292,14 @@ class Hollow(jxr.AbstractContour):
         return None
 
 
-def on_hollow(grasp, state, hollow):
-    """The pivoted scene on a concave face, and a state there."""
+def on_hollow(scene, hollow, spin):
+    """The pivoted scene on a concave face, and its start there, with the object turning at a rate."""
+    grasp, state = scene
     old = grasp.object.contours[0]
     changed = grasp.with_(contours=(hollow.moved(old.offset, old.angle, origin=old.origin),))
-    return jxr.close(changed, state)
+    turning = jxr.State(state.q, jnp.array([1.0, 0.0, 0.0]), state.s)
+    grasp, start = jxr.close(changed, turning)
+    return grasp, jxr.State(start.q, spin * start.v, start.s)
 
 
 def relative_sum(grasp, run):
@@ -293,10 +309,9 @@ def relative_sum(grasp, run):
     return jnp.sum(bends) / jnp.sum(jnp.abs(bends))
 
 
-def test_curvature_sum_runs_out():
+def test_curvature_sum_runs_out(scene):
     """On a concave face the fingertip flattens until it no longer rolls; the run says so."""
-    grasp, state = jxr.scenes.pivoted()
-    hollow, start = on_hollow(grasp, jxr.State(state.q, jnp.array([-40.0, 0.0, 0.0]), state.s), Hollow())
+    hollow, start = on_hollow(scene, Hollow(), -40.0)
     run = ends(hollow, start, t1=1.0, events=())
     assert run.result == jxr.RESULTS.singular_contact
     assert abs(relative_sum(hollow, run)) < 2e-4
@@ -305,12 +320,11 @@ def test_curvature_sum_runs_out():
 @pytest.mark.parametrize(
     ("excess", "code"), [(1.8e-4, jxr.RESULTS.singular_contact), (2.2e-4, jxr.RESULTS.successful)]
 )
-def test_a_ten_thousandth_of_a_curvature_is_none(excess, code):
-    """A circle in a circle: the relative sum is about half of what the outer radius exceeds the inner by."""
-    grasp, state = jxr.scenes.pivoted()
-    round_tip = grasp.with_tip(0, jxr.Circle(0.02).moved(angle=-1.5))
-    hollow, start = on_hollow(round_tip, state, Hollow(jnp.asarray(0.02 * (1.0 + excess))))
-    run = ends(hollow, start, t1=1e-6, events=())
+def test_a_ten_thousandth_of_a_curvature_is_none(scene, excess, code):
+    """The relative sum is about half of what the face's radius exceeds the fingertip's by."""
+    bend = scene[0].fingers[0].tip.curvature(-0.003)
+    hollow, start = on_hollow(scene, Hollow((1.0 + excess) / bend), 0.0)
+    run = ends(hollow, start, t1=1e-9, events=())
     assert run.result == code
     assert float(relative_sum(hollow, run)) == pytest.approx(excess / (2.0 + excess), rel=1e-6)
 
@@ -330,9 +344,7 @@ def test_every_end_is_at_the_limit_that_its_code_names(scene):
     """Where the sum of curvatures runs out, forces have a pole: that is no lost contact, and no slip."""
     draw = np.random.default_rng(0).uniform
     numbers = (draw(-60.0, 60.0, 64), 10.0 ** draw(-4.0, -2.0, 64), 10.0 ** draw(-1.0, 1.0, 64))
-    # Closed once: how fast it moves is one number.
-    turning = jxr.State(scene[1].q, jnp.array([1.0, 0.0, 0.0]), scene[1].s)
-    begun = on_hollow(scene[0], turning, Hollow())
+    begun = on_hollow(scene, Hollow(), 1.0)
     batch = jax.jit(jax.vmap(lambda *row: rolled_into_a_hollow(*begun, row)))
     codes, when, left, f, cone = map(np.asarray, batch(*map(jnp.asarray, numbers)))
     singular = codes == jxr.RESULTS.singular_contact._value

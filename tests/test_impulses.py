@@ -252,8 +252,7 @@ def test_blows_at_one_time_add_up(disc):
 
 def test_torques_and_accelerations_of_states(pivoted, pinch):
     """(75) and (16) line by line, and M v' + h = u + A^T mu with the forces of `multipliers`."""
-    grasp, state = pivoted
-    run = jxr.simulate(grasp, state, 0.2, ts=3)
+    (grasp, _), run = pivoted, runs.run("pivoted")
     (u,) = jxr.torques(grasp, run.ts, run.states)
     control, lengths = grasp.controller, np.asarray(grasp.fingers[0].lengths)
     for i in range(3):

@@ -294,8 +294,12 @@ def _end_of(inertia: Any, t: float) -> Any:
     return _TORQUE * (1.0 - np.cos(3.0 * t)) / 9.0 / whole
 
 
-def test_teeth_in_a_gradient(teeth: Any) -> None:
-    grasp, state = teeth
+def test_teeth_in_a_gradient() -> None:
+    """Of a wheel that a rack turns, by one force: the smallest grasp with such a contact."""
+    rack = jxr.Jaw(jxr.Line(), _MASS, [0.0], angle=0.5 * np.pi, base=(0.0, -_LARGE))
+    wheel = jxr.PivotedObject(jxr.Circle(_LARGE), _INERTIA)
+    grasp = jxr.Grasp(wheel, rack, Teeth(), controller=_twist)
+    state = jxr.State([-0.5 * np.pi, 0.0], [0.0, 0.0], [0.0])
 
     def end(inertia: Any) -> Any:
         return jxr.simulate(grasp.with_(inertia=inertia), state, 1.0, ts=1, max_steps=256).last.q[1]
@@ -303,10 +307,11 @@ def test_teeth_in_a_gradient(teeth: Any) -> None:
     given = np.linspace(0.5e-4, 2e-4, 4)
     both = jax.jit(jax.value_and_grad(end))
     ends, slopes = np.array([both(inertia) for inertia in given]).T
-    np.testing.assert_allclose(ends, _end_of(given, 1.0), rtol=1e-8)
-    # d/dI of K / (a + I / 9) is -(K / (a + I / 9)) / (9 a + I).
-    wanted = -_end_of(given, 1.0) / (3.0 * _MASS * 0.02**2 + given)
-    np.testing.assert_allclose(slopes, wanted, rtol=1e-8)
+    # F cos(3 t) accelerates the mass m + I / R^2, whose derivative in I is 1 / R^2.
+    whole = _MASS + given / _LARGE**2
+    wanted = _TORQUE * (1.0 - np.cos(3.0)) / 9.0 / whole
+    np.testing.assert_allclose(ends, wanted, rtol=1e-8)
+    np.testing.assert_allclose(slopes, -wanted / whole / _LARGE**2, rtol=1e-8)
 
 
 def test_a_belt_turns_both_pulleys_alike_and_slackens() -> None:

@@ -142,7 +142,7 @@ def _without(grasp: Grasp, state: State, lost: int) -> tuple[Grasp, State]:
     starts = np.concatenate([[0], np.cumsum(counts)])
     kept = np.delete(np.arange(starts[-1]), np.arange(starts[lost], starts[lost + 1]))
     contacts = tuple(c for i, c in enumerate(grasp.contacts) if i != lost)
-    return grasp.with_contacts(*contacts), State(state.q, state.v, state.s[kept], state.memory)
+    return grasp.with_contacts(*contacts), State(state.q, state.v, np.asarray(state.s)[kept], state.memory)
 
 
 def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Grasp, State, Scalar]:
@@ -193,12 +193,17 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
 
 def _nearest(grasp: Grasp, state: State, finger: int, face: int) -> Location | SurfaceLocation:
     """Closest points of a fingertip and a face of the object."""
-    frames = world_poses(grasp.prepared(), split(state.q, grasp.form.positions))
-    tip, body = frames[1 + finger], frames[0]
+    body, *tips = _poses(grasp, state)
     shapes = grasp.fingers[finger].tip, grasp.object.shapes[face]
-    if grasp.spatial:
-        return locate_surfaces(*shapes, pose_a=seven(tip), pose_b=seven(body))
-    return locate(*shapes, pose_a=three(tip), pose_b=three(body))
+    found = locate_surfaces if grasp.spatial else locate
+    return found(*shapes, pose_a=tips[finger], pose_b=body)
+
+
+@compiled
+def _poses(grasp: Grasp, state: State) -> tuple[Array, ...]:
+    """World poses of the object and of every fingertip, as numbers."""
+    frames = world_poses(grasp.prepared(), split(state.q, grasp.form.positions))
+    return tuple(map(seven if grasp.spatial else three, frames))
 
 
 def _contact_at(

@@ -45,7 +45,7 @@ def both_ways(function):
         (slopes,) = jax.linear_transpose(push, x)(bar)
         return value, push(direction), slopes
 
-    return lambda *given: found(*jax.tree.map(lambda x: jnp.asarray(x, float), given))
+    return lambda *given: found(*jax.tree.map(lambda x: np.asarray(x, float), given))
 
 
 def gradients_with_and_without_an_end(observed, grasp, state):
@@ -53,14 +53,15 @@ def gradients_with_and_without_an_end(observed, grasp, state):
 
     Of three states in all the last one is there, and then it is NaN, as a run leaves it that ended before.
     """
-    ts, rows = np.zeros(3), jax.tree.map(lambda x: jnp.stack([x, x, x]), state)
+    ts, rows = np.zeros(3), jax.tree.map(lambda x: np.stack([x, x, x]), state)
 
     def total(lengths, rows):
         longer = eqx.tree_at(lambda g: g.fingers[0].lengths, grasp, lengths)
         return sum(jnp.sum(x[:2]) for x in jax.tree.leaves(observed(longer, ts, rows)))
 
-    cut = jax.tree.map(lambda x: x.at[2].set(jnp.nan), rows)
-    return [jax.grad(total)(grasp.fingers[0].lengths, each) for each in (rows, cut)]
+    cut = jax.tree.map(lambda x: np.concatenate([x[:2], np.full_like(x[2:], np.nan)]), rows)
+    slope = jax.jit(jax.grad(total))
+    return [slope(grasp.fingers[0].lengths, each) for each in (rows, cut)]
 
 
 def runge_kutta_step(slope, y, h):

@@ -29,6 +29,7 @@ from jaxroll.geometry.surfaces import (
     _spread as spreads,
     _surface_chart as charts,
     _surface_closed_forms as forms,
+    _surface_spline as surfaces,
     _tensor_bspline as splines,
 )
 
@@ -132,6 +133,18 @@ def test_values_of_a_field_of_splines_at_its_nodes_and_between():
     # The field x is zero to rounding at nodes in a plane: there it is zero.
     slope = np.broadcast_to((np.arange(8) - 3.0)[:, None, None], (8, 6, 6)) * 0.1
     assert not spline_nets.surface_values(SplineSurface(slope, (0, 0, 0), 1.0), 2)[2].any()
+
+
+def test_a_field_with_room_is_the_same_and_goes_on_beyond_its_grid():
+    """Its coefficients are kept to the last bit; those added continue the last polynomial of each axis."""
+    given = uneven((7, 32, 33))
+    roomy = surfaces.with_room(SplineSurface(given, (0.1, 0.2, 0.3), 0.5))
+    assert roomy.coefficients.shape == (32, 32, 64)
+    np.testing.assert_array_equal(roomy.coefficients[:7, :, :33], given)
+    np.testing.assert_array_equal((*roomy.origin, roomy.step), (0.1, 0.2, 0.3, 0.5))
+    for at in ((1.3, 20.1, 27.2), (2.1, 26.9, 28.4), (6.4, 3.0, 5.0), (5.2, 14.6, 33.7)):
+        wanted = scipys(given, at, (0, 0, 0))
+        assert scipys(np.asarray(roomy.coefficients), at, (0, 0, 0)) == pytest.approx(wanted, rel=1e-9)
 
 
 def test_derivatives_of_a_field_of_splines_are_scipys_per_metre():

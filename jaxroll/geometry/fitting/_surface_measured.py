@@ -7,7 +7,7 @@ from jaxtyping import Array
 
 from ..._linalg import unstack, Vec3
 from ..._xla import briskly
-from ..surfaces import principal, SplineSurface
+from ..surfaces import principal, SplineSurface, with_room
 from ._field_fit import Grid
 from ._field_solve import values_matrix
 
@@ -28,7 +28,8 @@ def angles(normals: np.ndarray, given: np.ndarray) -> tuple[float, float]:
 
 def measured(surface: SplineSurface, points: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Feet [m], unit normals and both principal curvatures [1/m] of the surface near the points."""
-    parts = [_batch(surface, part) for part in _batches(points)]
+    roomy = with_room(surface)
+    parts = [_batch(roomy, part) for part in _batches(points)]
     found = [np.concatenate([np.asarray(part[k]) for part in parts])[: len(points)] for k in range(3)]
     return found[0], found[1], found[2]
 

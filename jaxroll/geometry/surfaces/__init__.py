@@ -36,5 +36,5 @@ from ._surface_implicit import (
     spread_in_box as spread_in_box,
 )
 from ._surface_patch import Patch as Patch
-from ._surface_spline import SplineSurface as SplineSurface
+from ._surface_spline import SplineSurface as SplineSurface, with_room as with_room
 from ._tensor_bspline import ORDER as ORDER, UNIFORM as UNIFORM

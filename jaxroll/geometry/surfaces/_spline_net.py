@@ -12,7 +12,7 @@ from jaxtyping import Array
 from ..._linalg import unstack
 from ..._xla import briskly
 from ._net import net
-from ._surface_spline import SplineSurface
+from ._surface_spline import SplineSurface, with_room
 from ._tensor_bspline import ORDER, UNIFORM
 
 _BATCH = 4096
@@ -58,7 +58,8 @@ def surface_net(surface: SplineSurface, fine: int) -> tuple[np.ndarray, np.ndarr
     places = np.asarray(surface.origin) + float(surface.step) / fine * vertices
     # Whole batches, so that one program does for any number of vertices; the first one is repeated.
     padded = np.concatenate([places, np.repeat(places[:1], -len(places) % _BATCH, axis=0)])
-    feet = [_feet(surface, jnp.asarray(part)) for part in padded.reshape(-1, _BATCH, 3)]
+    roomy = with_room(surface)
+    feet = [_feet(roomy, jnp.asarray(part)) for part in padded.reshape(-1, _BATCH, 3)]
     return np.concatenate([np.asarray(part) for part in feet])[: len(places)], triangles
 
 

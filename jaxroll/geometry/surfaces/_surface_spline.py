@@ -5,6 +5,7 @@ sums with weights of each axis. `fitting` makes such fields from points; `_surfa
 them.
 """
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..._linalg import Sym3, unstack, Vec3
@@ -14,6 +15,8 @@ from ..._xla import once
 from ._gauss import Gauss3
 from ._surface_implicit import AbstractImplicit, Level, level_frame, spread_in_box
 from ._tensor_bspline import block, contracted, ORDER, uniform
+
+_ROOMY = 32  # along every axis, the number of coefficients of a field with room is a multiple of this
 
 
 class SplineSurface(AbstractImplicit):
@@ -92,3 +95,28 @@ class SplineSurface(AbstractImplicit):
 
     def prepared(self) -> "SplineSurface":
         return self
+
+
+def with_room(surface: SplineSurface) -> SplineSurface:
+    """The same field with more coefficients: multiples of 32 along every axis.
+
+    What reads a field is compiled for every shape of its grid, and most grids then have one. Beyond the grid
+    the last polynomials are continued, as `SplineSurface` has it.
+    """
+    numbers = np.asarray(surface.coefficients)
+    for axis, count in enumerate(numbers.shape):
+        rows = np.moveaxis(numbers, axis, -1)
+        rows = np.concatenate([rows, rows[..., -ORDER:] @ _continued(-count % _ROOMY)], axis=-1)
+        numbers = np.moveaxis(rows, -1, axis)
+    return SplineSurface(numbers, surface.origin, surface.step)
+
+
+def _continued(count: int) -> np.ndarray:
+    """Matrix from six numbers in a row to the `count` that follow on the quintic through them (Lagrange).
+
+    Uniform B-splines whose coefficients lie on one quintic are one polynomial.
+    """
+    at, nodes = np.arange(ORDER, ORDER + count), np.arange(ORDER)
+    others = [np.delete(nodes, i) for i in nodes]
+    rows = [np.prod((at[:, None] - j) / (i - j), axis=1) for i, j in enumerate(others)]
+    return np.array(rows)

@@ -199,15 +199,14 @@ def _form(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Diagonal of the form on one grid, in the shape of its counts; if `whole`, its lower factor too."""
     from scipy.linalg import cholesky
-    from scipy.sparse import vstack
 
     matrix, _ = _data(grid, targets)
     # `_data` divides by the width of its own cells, but lengths count in the finest ones: rows of values are
     # multiplied by the scale. In rows of slopes the width cancels.
-    values = len(targets.points)
-    matrix = vstack([matrix[:values] * scale, matrix[values:]], format="csr")
+    matrix.data[: matrix.indptr[len(targets.points)]] *= scale
     if not whole:
-        diagonal = np.asarray(matrix.multiply(matrix).sum(axis=0)).reshape(grid.counts)
+        squares = np.bincount(matrix.indices, matrix.data**2, minlength=math.prod(grid.counts))
+        diagonal = squares.reshape(grid.counts)
         for orders, share in _SHARES:
             lines = [gram[order].diagonal() for gram, order in zip(grams, orders, strict=True)]
             diagonal = diagonal + rough * share * np.einsum("i,j,k->ijk", *lines)

@@ -16,6 +16,7 @@ from jaxroll._closures import opened
 from jaxroll._xla import _arithmetic, in_arithmetic
 from jaxroll._xla._one_kernel import misfits
 from tests.subjects import rolling_disc
+from tests.subjects.driven_plate import driven_plate
 
 
 def operations(function, *args):
@@ -215,7 +216,7 @@ def test_a_law_may_be_an_object_of_python(pushed):
     assert abs(wanted[0][0] - wanted[1][0]) > 1e-6
 
 
-def test_what_curves_loads_and_commands_close_over_has_a_derivative(scene):
+def test_what_curves_loads_and_commands_close_over_has_a_derivative():
     def ellipse(a):
         return jxr.Parametric(
             lambda u: jnp.stack([a * jnp.cos(u), 0.02 * jnp.sin(u)]), (0.0, 2.0 * np.pi), closed=True
@@ -227,17 +228,10 @@ def test_what_curves_loads_and_commands_close_over_has_a_derivative(scene):
     np.testing.assert_allclose(radii, 0.02**2 / a, rtol=1e-8)
     np.testing.assert_allclose(slopes, -(0.02**2) / a**2, rtol=1e-6)
 
-    grasp, state = scene
-
     def end(x):
         turn, ramp = x
-        own = jxr.Grasp(
-            grasp.object,
-            grasp.fingers,
-            grasp.contacts,
-            controller=grasp.controller,
-            load=lambda t, pose, twist: (jnp.stack([0.0 * turn, 0.0 * turn]), 0.01 * turn),
-        ).with_(force=lambda t: 0.5 + ramp * t)
+        grasp, state = driven_plate(load=lambda t, pose, twist: (jnp.zeros(2), 0.01 * turn))
+        own = grasp.with_(force=lambda t: 0.5 + ramp * t)
         return jxr.simulate(own, state, 0.05, ts=1, rtol=1e-10, atol=1e-12).last.q[0]
 
     x, steps, found = jnp.array([0.1, 0.5]), np.diag([1e-3, 1e-2]), jax.jit(jax.value_and_grad(end))

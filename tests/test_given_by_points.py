@@ -7,6 +7,7 @@ import pytest
 
 import jaxroll as jxr
 from tests.oracles.known_curves import circle_points
+from tests.recorded import runs
 from tests.subjects.pivoted_by_points import catenary_points, HALF, pivoted_by_points
 
 
@@ -38,9 +39,9 @@ def test_part_1_from_points():
 
 def test_roller_between_plates():
     """A roller of 128 points: half the upper plate's travel to 1e-8 m, and no ripple of its spacing."""
-    run = jxr.simulate(
-        *jxr.scenes.roller(jxr.Spline(circle_points(128))), t1=3.0, ts=np.linspace(0.0, 3.0, 1501), rtol=1e-9
-    )
+    with runs.not_closed():  # it begins where it touches
+        scene = jxr.scenes.roller(jxr.Spline(circle_points(128)))
+    run = jxr.simulate(*scene, t1=3.0, ts=np.linspace(0.0, 3.0, 1501), rtol=1e-9)
     x, y, _, u, _ = np.asarray(run.states.q).T
     prescribed = 0.015 * (1.0 - np.cos(2 * np.pi * np.asarray(run.ts) / 3.0))
     error, height = np.abs(x - 0.5 * prescribed).max(), np.abs(y - 0.01).max()
@@ -53,12 +54,14 @@ def test_roller_between_plates():
 
 
 def test_roller_circle_is_exact():
-    run = jxr.simulate(*jxr.scenes.roller(), t1=3.0, ts=np.linspace(0.0, 3.0, 31), rtol=1e-11)
+    with runs.not_closed():  # it begins where it touches
+        scene = jxr.scenes.roller()
+    options = {"ts": np.linspace(0.0, 3.0, 31), "rtol": 1e-11, "record": ("multipliers",)}
+    run = jxr.simulate(*scene, t1=3.0, **options)
     x, u = np.asarray(run.states.q[:, 0]), np.asarray(run.states.q[:, 3])
     np.testing.assert_allclose(x, 0.5 * u, atol=1e-15)
     np.testing.assert_allclose(u, 0.015 * (1.0 - np.cos(2 * np.pi * run.ts / 3.0)), atol=1e-12)
-    forces = jxr.multipliers(jxr.scenes.roller()[0], run.ts, run.states)
-    np.testing.assert_allclose(forces.f, 5.0, rtol=1e-9)  # both plates press with what is put on
+    np.testing.assert_allclose(run.multipliers.f, 5.0, rtol=1e-9)  # both plates press with what is put on
 
 
 @pytest.mark.slow

@@ -427,7 +427,7 @@ def test_jaws_and_stages_without_limits_reach_what_is_before_them():
 @pytest.mark.parametrize("shape", [0.0, 0.5])
 def test_pairs_of_one_width_are_in_the_order_of_their_ends(shape):
     """A curve of four lobes has two pairs of each width, whichever way it is turned before it is sampled."""
-    angles = 2.0 * np.pi * (np.arange(160) + shape) / 160
+    angles = 2.0 * np.pi * (np.arange(96) + shape) / 96
     radii = A * (1.0 + 0.02 * np.cos(4.0 * angles))
     curve = jxr.Spline(np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1))
     found = jxr.grasp_points(curve, 0.5, count=4)

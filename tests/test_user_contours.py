@@ -200,7 +200,7 @@ def test_a_tip_that_ends_before_the_contact_is_told_its_ends_though_it_is_no_num
         grasp.with_contacts(contact).with_tip(0, tip).with_contacts(jxr.Contact(0.0, 0.003))
 
 
-def ring(count=48):
+def ring(count=32):
     u = 2 * np.pi * np.arange(count) / count
     return np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], axis=-1)
 
@@ -426,7 +426,7 @@ class Held(jxr.AbstractContour):
 
 
 def test_tables_of_shapes_inside_ones_own_are_built_once():
-    spline = jxr.Spline(ring(), cells=64)
+    spline = jxr.Spline(ring(), cells=256)
     held = Held({"inner": spline})
     ready = tabled(held)
     assert ready.parts["inner"].table is not None and tabled(held) is ready and tabled(ready) is ready

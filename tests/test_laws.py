@@ -15,6 +15,7 @@ from jaxroll.control import Integral, Opposition, Press, Sampled
 from jaxroll.control._carry import _turned
 from jaxroll.control._sensing import Sensed, tip_of
 from jaxroll.loads import as_load, Drag, Impulse, Push, Spring, total_wrench
+from tests.subjects.driven_plate import driven_plate
 
 EPS = np.finfo(float).eps
 RNG = np.random.default_rng(11)
@@ -391,9 +392,9 @@ def load_of_orientation(t, pose, twist):
     return jnp.ravel(pose.orientation)[0] + 0.0 * twist.velocity, 0.0 * twist.spin
 
 
-def test_loads_may_hold_a_key_of_jax_random(scene):
+def test_loads_may_hold_a_key_of_jax_random():
     """As `jax.random.key` makes them, which are no numbers to JAX; the noise is that of the key's numbers."""
-    grasp, state = scene
+    grasp, state = driven_plate()
     key = jax.random.key(3)
 
     def noisy(key, t, pose, twist):

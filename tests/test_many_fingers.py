@@ -11,6 +11,8 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._motion import _linearisation, _projection
+from tests.recorded import runs
+from tests.subjects.driven_plate import driven_plate
 
 # A friction that no force comes near makes a grasp of another structure, so that JAX traces its runs anew.
 NEVER = 1e3
@@ -39,9 +41,9 @@ def rubbing(grasp):
     return grasp.with_contacts(*contacts)
 
 
-def test_a_run_in_a_loop_is_the_one_written_out_and_so_is_its_gradient(in_loops, scene):
-    """Of one finger: its two rows are the fewest of which a loop eliminates any."""
-    grasp, state = scene
+def test_a_run_in_a_loop_is_the_one_written_out_and_so_is_its_gradient(in_loops):
+    """Of one contact: its two rows are the fewest of which a loop eliminates any."""
+    grasp, state = driven_plate()
     end = lambda grasp, damping, **options: jxr.simulate(  # noqa: E731
         grasp.with_(damping=damping), state, 0.1, ts=1, **options
     )
@@ -67,7 +69,7 @@ def test_a_run_in_a_loop_is_the_one_written_out_and_so_is_its_gradient(in_loops,
 
 def test_forces_of_fingers_in_motion_are_those_written_out(in_loops):
     """Of two and of three joints: rows of two fingers share the object's columns alone."""
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     moving = jxr.State(state.q, np.random.default_rng(0).normal(size=8), state.s)
     written = jxr.multipliers(grasp, 0.0, moving)
     calls = in_loops()

@@ -9,6 +9,7 @@ import pytest
 
 import jaxroll as jxr
 from jaxroll._xla._one_kernel import inner_programs
+from tests.recorded import runs
 
 ROUND = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
 POINTS = np.stack([0.02 * np.cos(ROUND), 0.018 * np.sin(ROUND)], axis=-1)
@@ -44,7 +45,7 @@ def test_tables_of_contours_mix_no_kinds_of_numbers(contour):
 
 
 def test_the_balance_of_a_pinch_mixes_no_kinds_of_numbers():
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     with jax.numpy_dtype_promotion("strict"):
         found = jax.eval_shape(lambda beta: jxr.pinch_balance(grasp.with_(beta=beta), 0.0, state).l, 10.0)
     assert found.shape == (2,)

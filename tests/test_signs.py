@@ -10,6 +10,7 @@ import pytest
 
 import jaxroll as jxr
 from tests.oracles.chapter_part2 import Part2
+from tests.recorded import runs
 from tests.subjects.mirror_images import MIRROR, mirrored
 
 
@@ -22,7 +23,7 @@ def fields(*modules):
 @pytest.mark.parametrize("name", ["pivoted", "pinch"])
 def test_a_mirror_image_with_the_other_sense_has_the_chapters_same_quantities(name):
     """Every quantity of Parts 1 and 2 that is reported, in motion and off the constraints by 0.1 mm."""
-    grasp, state = getattr(jxr.scenes, name)()
+    grasp, state = runs.scene(name)
     rng = np.random.default_rng(0)
     v = jnp.asarray(rng.normal(size=state.v.shape))
     off = jxr.State(state.q + 1e-3 * rng.normal(size=v.shape), v, state.s + 1e-3)
@@ -59,7 +60,7 @@ def test_residuals_are_64_and_65(scene):
 
 def test_residuals_are_5_and_6():
     """(5)-(6) of a rectangle moved aside by (dx, dy): n_01 points right, n_02 left, b_01 and b_02 down."""
-    grasp, state = jxr.scenes.pinch()
+    grasp, state = runs.scene("pinch")
     dx, dy = 3e-5, -2e-5
     c, s = np.cos(float(state.q[2])), np.sin(float(state.q[2]))
     moved = jxr.State(state.q + jnp.array([c * dx - s * dy, s * dx + c * dy, *[0.0] * 6]), state.v, state.s)

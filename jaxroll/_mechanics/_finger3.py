@@ -179,13 +179,7 @@ class Finger3(AbstractFinger):
         p = as_positive("mass", mass)
         place = self.offsets[i] if at is None else as_floats("at", at, (3,))
         own = jnp.zeros((3, 3)) if inertia is None else as_floats("inertia", inertia, (3, 3))
-        m, apart = self.masses[i], place - self.centres[i]
-        about = jnp.eye(3) * (apart @ apart) - jnp.outer(apart, apart)
-        new = (
-            m + p,
-            self.centres[i] + p / (m + p) * apart,
-            self.inertias[i] + own + m * p / (m + p) * about,
-        )
+        new = _loaded((self.masses[i], self.centres[i], self.inertias[i]), p, place, own)
         fields = lambda f: (f.masses, f.centres, f.inertias)  # noqa: E731
         arrays = [old.at[i].set(x) for old, x in zip(fields(self), new, strict=True)]
         arrays[2] = taken(self, "inertias", arrays[2], shape=self.inertias.shape, name="inertia")
@@ -214,6 +208,17 @@ class Finger3(AbstractFinger):
 
     def gravity_potential(self, q: Scalars, gravity: Vec3) -> Scalar:
         return self.prepared().gravity_potential(q, gravity)
+
+
+@at_once
+def _loaded(
+    xp: Any, link: tuple[Array, Array, Array], mass: Array, place: Array, inertia: Array
+) -> tuple[Array, Array, Array]:
+    """Mass, centre and inertia of a link with a payload whose centre is at a place."""
+    m, centre, own = link
+    apart, share = place - centre, mass / (m + mass)
+    about = xp.eye(3, dtype=apart.dtype) * (apart @ apart) - xp.outer(apart, apart)
+    return m + mass, centre + share * apart, own + inertia + m * share * about
 
 
 @at_once

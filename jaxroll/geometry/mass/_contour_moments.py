@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..._results import concrete
-from ..._xla import quickly
+from ..._xla import at_once, quickly
 from .._tabled import tabled
 from ..contours import AbstractContour, Circle, Ellipse, Moved
 from ._moments import from_cones, Moments
@@ -54,8 +54,14 @@ def contour_moments(contour: AbstractContour) -> Moments:
 
 
 def _ellipse(a: Array, b: Array) -> Moments:
+    return Moments(*_of_ellipse(a, b))
+
+
+@at_once
+def _of_ellipse(xp: Any, a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Size, centre and spread."""
     size = math.pi * a * b
-    return Moments(size, jnp.zeros(2, size.dtype), jnp.diag(size * 0.25 * jnp.stack([a * a, b * b])))
+    return size, xp.zeros(2, size.dtype), xp.diag(size * 0.25 * xp.stack([a * a, b * b]))
 
 
 @quickly

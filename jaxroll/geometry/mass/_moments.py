@@ -12,9 +12,10 @@ It is the sum of the cones from that point to the pieces of the boundary. `_cont
 import math
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+
+from ..._xla import at_once
 
 # A surface whose moments still change by more than this share at the last refinement is refused.
 _ACCURATE = 1e-6
@@ -37,7 +38,12 @@ class Moments(NamedTuple):
 
     def placed(self, turn: Array, offset: Array) -> "Moments":
         """The moments of the body turned by a rotation matrix, then shifted."""
-        return Moments(self.size, turn @ self.centre + offset, turn @ self.spread @ turn.T, self.error)
+        return Moments(self.size, *_placed(self.centre, self.spread, turn, offset), self.error)
+
+
+@at_once
+def _placed(xp: Any, centre: Array, spread: Array, turn: Array, offset: Array) -> tuple[Array, Array]:
+    return turn @ centre + offset, turn @ spread @ turn.T
 
 
 def from_cones(arms: Any, cones: Any, about: Any) -> Moments:
@@ -61,13 +67,12 @@ def centred(size: Any, first: Any, second: Any, about: Any) -> Moments:
     return Moments(size, about + shift, second - shift[:, None] * first[None, :])
 
 
-def inertia_of(spread: Any, density: Any) -> Any:
+@at_once
+def inertia_of(xp: Any, spread: Any, density: Any) -> Any:
     """Inertia about the centre: in the plane a number [kg m^2], in space a matrix in the body's axes."""
     if spread.shape[0] == 2:
-        return density * jnp.trace(spread)
-    # NumPy's arrays stay so: each operation of JAX's would be compiled by itself.
-    eye = np.eye(3, dtype=spread.dtype)
-    return density * ((spread[0, 0] + spread[1, 1] + spread[2, 2]) * eye - spread)
+        return density * xp.trace(spread)
+    return density * (xp.trace(spread) * xp.eye(3, dtype=spread.dtype) - spread)
 
 
 def difference(one: Moments, other: Moments) -> float:

@@ -6,6 +6,7 @@ rule on panels, which are halved until nothing changes. Any other implicit surfa
 """
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,7 +16,7 @@ from jaxtyping import Array
 
 from ..._linalg import Pose3
 from ..._results import traced
-from ..._xla import quickly
+from ..._xla import at_once, quickly
 from .._tabled import tabled
 from ..surfaces import (
     AbstractChart,
@@ -49,10 +50,10 @@ def surface_moments(surface: AbstractSurface) -> Moments:
         pose = surface.placed()
         return surface_moments(surface.surface).placed(_matrix(pose), surface.offset)
     if isinstance(surface, Sphere):
-        return _rounded(jnp.stack([surface.radius] * 3), 2.0)
+        return _rounded((surface.radius,) * 3, 2.0)
     if isinstance(surface, Ellipsoid | Superellipsoid):
         exponent = surface.exponent if isinstance(surface, Superellipsoid) else 2.0
-        return _rounded(jnp.stack([surface.a, surface.b, surface.c]), exponent)
+        return _rounded((surface.a, surface.b, surface.c), exponent)
     if isinstance(surface, Torus):
         return _ring(surface.major, surface.minor)
     if traced(surface):
@@ -72,7 +73,7 @@ def _matrix(pose: Pose3) -> Array:
     return jnp.stack([axis.array() for axis in (pose.x, pose.y, pose.z)], axis=1)
 
 
-def _rounded(axes: Array, exponent: float) -> Moments:
+def _rounded(axes: tuple[Array, ...], exponent: float) -> Moments:
     r"""Of $|x/a|^p + |y/b|^p + |z/c|^p \le 1$, by Dirichlet's integral.
 
     Over the octant $\int x^{\alpha - 1} y^{\beta - 1} z^{\gamma - 1}$ of the unit body is
@@ -81,14 +82,27 @@ def _rounded(axes: Array, exponent: float) -> Moments:
     gamma, p = math.gamma, exponent
     volume = 8.0 * gamma(1.0 / p) ** 3 / (p**3 * gamma(1.0 + 3.0 / p))
     second = 8.0 * gamma(3.0 / p) * gamma(1.0 / p) ** 2 / (p**3 * gamma(1.0 + 5.0 / p))
-    box = jnp.prod(axes)
-    return Moments(volume * box, jnp.zeros(3, axes.dtype), jnp.diag(second * box * axes**2))
+    return Moments(*_boxed(axes, volume, second))
+
+
+@at_once
+def _boxed(xp: Any, axes: tuple[Array, ...], volume: float, second: float) -> tuple[Array, Array, Array]:
+    """Size, centre and spread of a body that takes these shares of a box and of its moments."""
+    each = xp.stack(axes)
+    box = xp.prod(each)
+    return volume * box, xp.zeros(3, each.dtype), xp.diag(second * box * each**2)
 
 
 def _ring(major: Array, minor: Array) -> Moments:
+    return Moments(*_of_ring(major, minor))
+
+
+@at_once
+def _of_ring(xp: Any, major: Array, minor: Array) -> tuple[Array, Array, Array]:
+    """Size, centre and spread."""
     volume = 2.0 * math.pi**2 * major * minor**2
     across, along = 0.5 * major**2 + 0.375 * minor**2, 0.25 * minor**2
-    return Moments(volume, jnp.zeros(3, volume.dtype), jnp.diag(volume * jnp.stack([across, across, along])))
+    return volume, xp.zeros(3, volume.dtype), xp.diag(volume * xp.stack([across, across, along]))
 
 
 def _chart_moments(chart: AbstractChart) -> Moments:

@@ -167,7 +167,8 @@ def identify(
         )
     sigma = _sigma(noise, data)
 
-    def left_over(x: jax.Array) -> tuple[jax.Array, tuple[jax.Array, RESULTS]]:
+    # Guess and data are arguments: with others at the same times JAX finds its compiled program in its folder.
+    def left_over(x: jax.Array, start: Any, data: jax.Array, sigma: jax.Array) -> tuple[jax.Array, Any]:
         with traceable("make"):
             grasp, state = as_grasp_and_state(make(dict(zip(names, x * start, strict=True))))
         run = simulate(grasp, state, times[-1], ts=times, rtol=rtol, throw=False).filled()
@@ -184,7 +185,7 @@ def identify(
     slopes_and_left = jax.jit(jax.jacfwd(left_over, has_aux=True))
 
     def all_of(x: jax.Array) -> tuple[jax.Array, jax.Array, RESULTS]:
-        slopes, (left, ended) = slopes_and_left(x)
+        slopes, (left, ended) = slopes_and_left(x, start, data, sigma)
         return left, slopes, ended
 
     # JAX keeps the trace of the run inside by the functions in the grasp, whatever these hold since.

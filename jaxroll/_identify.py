@@ -167,7 +167,7 @@ def identify(
         )
     sigma = _sigma(noise, data)
 
-    # Guess and data are arguments: with others at the same times JAX finds its compiled program in its folder.
+    # Guess and data are arguments: with others at the same times JAX finds the program in its folder.
     def left_over(x: jax.Array, start: Any, data: jax.Array, sigma: jax.Array) -> tuple[jax.Array, Any]:
         with traceable("make"):
             grasp, state = as_grasp_and_state(make(dict(zip(names, x * start, strict=True))))

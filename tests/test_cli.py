@@ -30,9 +30,11 @@ from jaxroll._cli import (
 )
 from jaxroll._cli._design_command import fingertip
 from jaxroll.geometry import Circle
+from tests.recorded import runs
 
 BAD = {
     "no such command": (["dance"], "invalid choice: 'dance'"),
+    "part of a command": (["dem"], "invalid choice: 'dem'"),
     "no such scene": (["demo", "dance"], "invalid choice: 'dance'"),
     "seconds of NaN": (["demo", "--seconds", "nan"], "must lie between 0.001 and 1000, but was nan"),
     "seconds of words": (["demo", "--seconds", "long"], "must lie between 0.001 and 1000, but was long"),
@@ -87,6 +89,7 @@ def test_what_does_not_fit_is_one_line(case, tmp_path, monkeypatch, capfd):
     assert out == "" and len(lines) == 1 and lines[0].startswith("jaxroll")
     assert re.search(words, lines[0])
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".png", ".gif")]
+    assert not list(tmp_path.glob("jaxroll-*"))
 
 
 @pytest.mark.parametrize("command", [["demo", "--seconds", "0.001"], ["design", "--tip", "empty.csv"]])
@@ -231,10 +234,9 @@ open(sys.argv[-1], "wb").close()
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    """A run of three states, with its grasp, as `demo` writes it."""
+    """A made run of three states, with its grasp, as `demo` writes it."""
     folder = tmp_path_factory.mktemp("saved")
-    grasp, state = jxr.scenes.pivoted()
-    run = jxr.simulate(grasp, state, t1=0.1, ts=3)
+    (grasp, state), run = runs.scene("pivoted"), runs.run("pivoted", times=3, t1=0.1)
     jxr.save(folder / "run.npz", {"grasp": grasp, "state": state, "run": run})
     jxr.save(folder / "grasp.npz", grasp)
     return folder

@@ -128,7 +128,7 @@ def optimise_fingertip(
     # Before anything is traced, the goal takes what it needs from the first start, such as a scale.
     wanted = check_instance("goal.aimed, in what it returns,", goal.aimed(tips[0]), AbstractGoal, "a goal")
     data, problem = (arrays, sizes), _Problem(transform, rest, ends, limits, wanted)
-    start = jax.vmap(lambda *one: problem.of(one).start)(*data)
+    start = _starts(problem, data)
     # JAX keeps what it traced for the functions of a goal, whatever these hold since.
     with as_now(goal):
         _check_answers(problem, start, data)
@@ -168,7 +168,7 @@ def _check_answers(problem: "_Problem", start: Array, data: Any) -> None:
     """Raise unless a goal of a caller's own class, or one inside another, answers as it must."""
     goals = (problem.goal, getattr(problem.goal, "goal", None))
     own = [goal for goal in goals if goal is not None and is_foreign(goal)]
-    x, one = jax.tree.map(lambda a: a[0], (start, data))
+    x, one = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), (start, data))
     for goal in own:
         with traceable("goal"):
             jax.eval_shape(lambda x, one: check_answers(goal, *problem.seen(x, one), one[1]), x, one)  # noqa: B023
@@ -223,6 +223,12 @@ class _Problem(eqx.Module):
 
 
 @quickly
+def _starts(problem: _Problem, data: Any) -> Array:
+    """The vector of every start's contour."""
+    return jax.vmap(lambda one: problem.of(one).start)(data)
+
+
+@quickly
 def _outcomes(problem: _Problem, x: Array, data: Any) -> tuple[Any, Any, Any]:
     """`outcome` of every start, with a leading axis."""
     if problem.goal.in_turn:
@@ -243,7 +249,8 @@ def _design(problem: _Problem, start: Array, data: Any, found: Found) -> Design:
     merit = problem.goal.merit
     names = [merit, *(name for name in figures if name != merit)]
     pairs = {name: (float(figures_before[name][best]), float(figures[name][best])) for name in names}
-    pick = lambda tree: eqx.combine(jax.tree.map(lambda a: a[best], tree), problem.rest)  # noqa: E731
+    of_best = lambda a: jnp.asarray(np.asarray(a)[best])  # noqa: E731
+    pick = lambda tree: eqx.combine(jax.tree.map(of_best, tree), problem.rest)  # noqa: E731
     return Design(
         tip=pick(arrays),
         start=pick(first),

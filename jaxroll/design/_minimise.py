@@ -136,14 +136,14 @@ def minimise(
     if path is not None and path.exists():
         search, done, history = _restored(path, search, marks)
     report = progress if callable(progress) else (_printed if progress else None)
-    while done < steps and not bool(jnp.all(search.done)):
+    while done < steps and not np.all(search.done):
         search, values = _advance(problem, method, search, data, mode=mode, in_turn=in_turn)
         history.append(np.asarray(values))
         done += STEPS_PER_CHUNK
         if path is not None:
             _saved(path, search, done, history, marks)
         if report is not None:
-            report(done, float(jnp.min(search.lowest)), float(jnp.min(search.violation)))
+            report(done, float(np.min(search.lowest)), float(np.min(search.violation)))
     rows = np.concatenate(history, axis=1) if history else np.zeros((start.shape[0], 0))
     return Found(search, done, rows)
 

@@ -148,14 +148,14 @@ def identify(
     guess, not always the least one.
 
     Example:
-        >>> import jaxroll as jxr
+        >>> import jaxroll as jxr, numpy as np
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> run = jxr.simulate(grasp, state, 0.2)
-        >>> ts, angles = run.ts, run.states.q[:, 1:]
-        >>> make = lambda p: (grasp.with_(damping=p["damping"]), state)
-        >>> found = jxr.identify(make, {"damping": 0.004}, ts, angles, noise=1e-4)
-        >>> round(found.values["damping"], 6)
-        0.006
+        >>> ts = np.linspace(0.02, 0.16, 8)
+        >>> angles = jxr.simulate(grasp, state, 0.16, ts=ts).states.q[:, 1:]
+        >>> make = lambda p: (grasp.with_(**p), state)
+        >>> found = jxr.identify(make, {"damping": 0.004, "force": 0.7}, ts, angles, noise=1e-4)
+        >>> round(found.values["damping"], 6), round(found.values["force"], 6)
+        (0.006, 0.5)
     """
     names, start = _checked(make, guess, observe)
     times = _times(ts)

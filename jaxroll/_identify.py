@@ -190,10 +190,9 @@ def identify(
 
     # JAX keeps the trace of the run inside by the functions in the grasp, whatever these hold since.
     with as_now((make, observe)):
-        x, count, result, seen = _descend(all_of, np.ones(len(names)), steps, known=noise is not None)
-    left, slopes, ended = seen
-    free = data.size - len(names)
-    spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / free)
+        found = _descend(all_of, np.ones(len(names)), steps, known=noise is not None)
+    x, count, result, (left, slopes, ended) = found
+    spread = 1.0 if noise is not None else np.sqrt(float(left @ left) / (data.size - len(names)))
     covariance = _covariance(slopes, spread * start)
     deviations = np.sqrt(np.diag(covariance))
     values = x * start

@@ -357,7 +357,7 @@ def changing(start):
 
 def test_opposition_with_numbers_that_change():
     """Against the chapter's equations, in the plane; balances are those of the numbers of that time."""
-    grasp, state = jxr.scenes.pinch(s=(0.004, -0.003))
+    grasp, state = runs.scene("pinch")
     start, ts = np.asarray(grasp.controller.start), np.linspace(0.0, 0.4, 5)
     changed = grasp.with_(controller=changing(start))
     run = jxr.simulate(changed, state, 0.4, ts=ts, rtol=1e-11)

@@ -249,7 +249,7 @@ def _design(problem: _Problem, start: Array, data: Any, found: Found) -> Design:
     merit = problem.goal.merit
     names = [merit, *(name for name in figures if name != merit)]
     pairs = {name: (float(figures_before[name][best]), float(figures[name][best])) for name in names}
-    of_best = lambda a: jnp.asarray(np.asarray(a)[best])  # noqa: E731
+    of_best = lambda a: jax.device_put(np.asarray(a)[best])  # noqa: E731
     pick = lambda tree: eqx.combine(jax.tree.map(of_best, tree), problem.rest)  # noqa: E731
     return Design(
         tip=pick(arrays),

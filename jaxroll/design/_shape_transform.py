@@ -189,7 +189,7 @@ def as_batch(contours: Sequence[AbstractContour]) -> tuple[Any, Any]:
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(part)] for part in arrays]
     if any(shape != shapes[0] for shape in shapes):
         raise ValueError(f"argument tip must be contours of one size, but had arrays of shapes {shapes}")
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *arrays), parts[0][1]
+    return jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *arrays), parts[0][1]
 
 
 @quickly

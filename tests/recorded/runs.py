@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -90,18 +91,18 @@ def run(name: str, *, times: int = 13, t1: float = 0.6, ended: str | None = None
     energy = [swinging(times, (), size, 7.0) for size in (2e-4, 3e-4, -4e-4, 5e-10)]
     for rows in (*states, *forces, *left, *energy):
         rows[reached:] = np.nan
-    last = jxr.State(*(jnp.asarray(rows[reached - 1]) for rows in states))
+    last = jxr.State(*jax.device_put([rows[reached - 1] for rows in states]))
     code = jxr.RESULTS.successful if ended is None else getattr(jxr.RESULTS, ended)
-    numbers = [jnp.asarray(x) for x in (37, 35, 2, ts[reached - 1], -1 if ended is None else 0, np.nan)]
+    numbers = [np.asarray(x) for x in (37, 35, 2, ts[reached - 1], -1 if ended is None else 0, np.nan)]
     return jxr.Trajectory(
-        jnp.asarray(ts),
-        jxr.State(*map(jnp.asarray, states)),
+        jax.device_put(ts),
+        jxr.State(*jax.device_put(states)),
         last,
-        Residuals(*map(jnp.asarray, left)),
+        Residuals(*jax.device_put(left)),
         code,
-        Stats(*numbers),
-        Multipliers(*map(jnp.asarray, forces)),
-        Energy(*map(jnp.asarray, energy)),
+        Stats(*jax.device_put(numbers)),
+        Multipliers(*jax.device_put(forces)),
+        Energy(*jax.device_put(energy)),
         labels=grasp.labels,
     )
 

@@ -148,10 +148,10 @@ def identify(
     guess, not always the least one.
 
     Example:
-        >>> import jaxroll as jxr, numpy as np
+        >>> import jaxroll as jxr
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> ts = np.linspace(0.02, 0.16, 8)
-        >>> angles = jxr.simulate(grasp, state, 0.16, ts=ts).states.q[:, 1:]
+        >>> run = jxr.simulate(grasp, state, 0.16)
+        >>> ts, angles = run.ts[20::40], run.states.q[20::40, 1:]
         >>> make = lambda p: (grasp.with_(**p), state)
         >>> found = jxr.identify(make, {"damping": 0.004, "force": 0.7}, ts, angles, noise=1e-4)
         >>> round(found.values["damping"], 6), round(found.values["force"], 6)

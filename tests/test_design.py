@@ -311,28 +311,29 @@ def test_a_transform_of_a_known_tip_is_made_while_others_are_traced():
 
 @pytest.mark.parametrize("kind", TRANSFORMED)
 def test_transform_is_the_mathematics_that_it_tells(kind):
-    """p = (size / 20) W x in the order of the fields, its inverse, and its derivative against differences."""
+    """p = (size / 20) W x in the order of the fields, its inverse, and its derivative; a contour follows it."""
     tip = TRANSFORMED[kind]
     transform = jxr.design.ShapeTransform(tip)
-    inner = tip.contour if kind == "placed" else tip
-    free = [np.ravel(leaf) for leaf in inner.free_numbers()]
-    found = transform.size * transform.matrix @ transform.start / 20.0
-    np.testing.assert_allclose(found, np.concatenate(free), rtol=1e-11, atol=1e-16)
+    size, matrix, start = map(np.asarray, (transform.size, transform.matrix, transform.start))
+    numbers = lambda contour: (contour.contour if kind == "placed" else contour).free_numbers()  # noqa: E731
+    free = np.concatenate([np.ravel(leaf) for leaf in numbers(tip)])
+    np.testing.assert_allclose(size * matrix @ start / 20.0, free, rtol=1e-11, atol=1e-16)
     whole = np.asarray(tip.point(np.linspace(*tip.domain(), 257)))
-    np.testing.assert_allclose(transform.size, np.sqrt(np.mean(np.sum(whole**2, axis=1))), rtol=1e-9)
-    x = np.asarray(transform.start) + 0.05 * np.sin(np.arange(transform.start.size) + 1.0)
-    np.testing.assert_allclose(transform.unknowns(transform.contour(x)), x, rtol=1e-9)
-    assert jax.tree.structure(transform.contour(x)) == jax.tree.structure(tip)
-
-    way = np.cos(np.arange(x.size))
+    np.testing.assert_allclose(size, np.sqrt(np.mean(np.sum(whole**2, axis=1))), rtol=1e-9)
+    x, way = start + 0.05 * np.sin(np.arange(start.size) + 1.0), np.cos(np.arange(start.size))
 
     @jax.jit
-    def radius(x):
-        """And its derivative along the way."""
-        return jax.jvp(lambda x: 1.0 / transform.contour(x).curvature(0.002), (x,), (jnp.asarray(way),))
+    def told(x, way):
+        """The contour of a vector, its vector, and the derivative of its numbers along a way."""
+        contour, along = jax.jvp(lambda x: numbers(transform.contour(x)), (x,), (way,))
+        return transform.contour(x), transform.unknowns(transform.contour(x)), contour, along
 
-    central = (radius(x + 1e-3 * way)[0] - radius(x - 1e-3 * way)[0]) / 2e-3
-    np.testing.assert_allclose(radius(x)[1], central, rtol=1e-4, atol=1e-12)
+    contour, back, found, slope = told(x, way)
+    assert jax.tree.structure(contour) == jax.tree.structure(tip)
+    np.testing.assert_allclose(back, x, rtol=1e-9)
+    for leaves, vector in ((found, x), (slope, way)):
+        flat = np.concatenate([np.ravel(leaf) for leaf in leaves])
+        np.testing.assert_allclose(flat, size * matrix @ vector / 20.0, rtol=1e-11, atol=1e-16)
 
 
 def test_transform_keeps_the_mirror_image():

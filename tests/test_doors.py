@@ -143,8 +143,8 @@ def test_all_doors_are_found():
 
 @pytest.fixture(scope="module")
 def worlds(scene):
-    """Grasps with states of unlike sizes, and a run of the first."""
-    run = jxr.simulate(*scene, 0.01, ts=2)
+    """Grasps with states of unlike sizes, and a made run of the first."""
+    run = runs.run("pivoted", times=2, t1=0.01)
     return {"press": scene, "pinch": runs.scene("pinch"), "space": jxr.scenes.incline()}, run
 
 

@@ -311,7 +311,7 @@ def test_a_transform_of_a_known_tip_is_made_while_others_are_traced():
 
 @pytest.mark.parametrize("kind", TRANSFORMED)
 def test_transform_is_the_mathematics_that_it_tells(kind):
-    """p = (size / 20) W x in the order of the fields, its inverse, and its derivative; a contour follows it."""
+    """p = (size / 20) W x in the order of the fields, of which a contour is made; inverse and derivative."""
     tip = TRANSFORMED[kind]
     transform = jxr.design.ShapeTransform(tip)
     size, matrix, start = map(np.asarray, (transform.size, transform.matrix, transform.start))

@@ -159,14 +159,15 @@ class Parameters(eqx.Module):
 
         Example:
             >>> import tempfile
-            >>> import jaxroll as jxr
+            >>> import jaxroll as jxr, numpy as np
             >>> grasp, state = jxr.scenes.pivoted()
-            >>> some = jxr.Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5])
+            >>> force = np.linspace(0.4, 0.5, 8)
+            >>> some = jxr.Parameters.grid(damping=np.linspace(0.004, 0.008, 8), force=force)
             >>> path = tempfile.mkdtemp() + "/some.zarr"
             >>> keep = lambda run: run.last.q
             >>> table = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, keep=keep, store=path)
             >>> jxr.Parameters.of_table(table).shape
-            (2, 2)
+            (8, 8)
         """
         told = getattr(table, "attrs", {})
         names = told.get("parameters")

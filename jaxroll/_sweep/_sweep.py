@@ -122,13 +122,14 @@ def sweep(
     this process, to the last bit, if the processors have the same instructions.
 
     Example:
-        >>> import jaxroll as jxr
+        >>> import jaxroll as jxr, numpy as np
         >>> grasp, state = jxr.scenes.pivoted()
-        >>> some = jxr.Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5])
+        >>> dampings, forces = np.linspace(0.004, 0.008, 8), np.linspace(0.4, 0.5, 8)
+        >>> some = jxr.Parameters.grid(damping=dampings, force=forces)
         >>> keep = lambda run: run.last.q  # where each comes to
         >>> ends = jxr.sweep(lambda p: (grasp.with_(**p), state), some, t1=0.1, keep=keep)
         >>> ends.shape, some.shaped(ends).shape
-        ((4, 3), (2, 2, 3))
+        ((64, 3), (8, 8, 3))
     """
     check_callable("make", make, "a function of one row of parameters", takes=1)
     if keep is not None:

@@ -142,6 +142,7 @@ def test_a_field_with_room_is_the_same_and_goes_on_beyond_its_grid():
     assert roomy.coefficients.shape == (32, 32, 64)
     np.testing.assert_array_equal(roomy.coefficients[:7, :, :33], given)
     np.testing.assert_array_equal((*roomy.origin, roomy.step), (0.1, 0.2, 0.3, 0.5))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(roomy))
     for at in ((1.3, 20.1, 27.2), (2.1, 26.9, 28.4), (6.4, 3.0, 5.0), (5.2, 14.6, 33.7)):
         wanted = scipys(given, at, (0, 0, 0))
         assert scipys(np.asarray(roomy.coefficients), at, (0, 0, 0)) == pytest.approx(wanted, rel=1e-9)

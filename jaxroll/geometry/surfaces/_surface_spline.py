@@ -108,7 +108,8 @@ def with_room(surface: SplineSurface) -> SplineSurface:
         rows = np.moveaxis(numbers, axis, -1)
         rows = np.concatenate([rows, rows[..., -ORDER:] @ _continued(-count % _ROOMY)], axis=-1)
         numbers = np.moveaxis(rows, -1, axis)
-    return SplineSurface(numbers, surface.origin, surface.step)
+    # A weak type, as Python's own numbers have it, would be another program.
+    return SplineSurface(numbers, surface.origin, np.asarray(surface.step))
 
 
 def _continued(count: int) -> np.ndarray:

@@ -317,7 +317,7 @@ def _reported(contour: AbstractTabulated, clean: CleanPoints, known: _Known, see
     )
     said = (*clean.warnings, *doubts(report, clean.points, distances))
     report = replace(report, warnings=said, recommendation=recommended(report, clean.points))
-    return Fit(contour, *jax.device_put((clean.points, feet)), report)
+    return Fit(contour, jax.device_put(clean.points), jax.device_put(feet), report)
 
 
 def _measured(contour: AbstractTabulated, points: np.ndarray) -> Measured:

@@ -232,10 +232,10 @@ def test_7_has_the_sign_of_the_sense_and_the_rolled_arclength_none():
     # A while after it set off, three times that lie close together.
     for h in [1e-3] * 50 + [1e-4] * 2:
         rows.append(runge_kutta_step(slope, rows[-1], h))
-    states = jxr.State(*np.split(np.stack(rows[-3:]), [8, 16], axis=1))
-    found, v = jxr.contact_geometry(grasp, states), states.v[1]
-    s, sigma = ((x[2] - x[0]) / 2e-4 for x in (np.asarray(found.s), states.s))
-    bend, faster = np.asarray(found.kappa_0 + found.kappa_1)[1], np.array([v[3:6].sum(), v[6:].sum()]) - v[2]
+    states = [jxr.State(*np.split(row, [8, 16])) for row in rows[-3:]]
+    found, v = [jxr.contact_geometry(grasp, state) for state in states], states[1].v
+    s, sigma = ((np.asarray(x[2].s) - np.asarray(x[0].s)) / 2e-4 for x in (found, states))
+    bend, faster = found[1].kappa_0 + found[1].kappa_1, np.array([v[3:6].sum(), v[6:].sum()]) - v[2]
     assert [contact.sense for contact in grasp.contacts] == [1, -1]
     np.testing.assert_allclose(bend * s, [faster[0], -faster[1]], rtol=1e-4)
     np.testing.assert_allclose(bend * sigma, -faster, rtol=1e-4)

@@ -64,9 +64,9 @@ def clearance(
     nearest = [(face, ends, foot.s[lowest]) for face, ends, foot in found]
     most, smallest = walked[1] - walked[0], heights[lowest]
     for along in range(len(nearest)):
-        at = walked[lowest], nearest
-        for _ in range(_STEPS):
-            at = _down(poses, tip, at, along, most)
+        # A loop, which compiles in two thirds of the time of its turns written out, and runs as fast.
+        steps = lambda at, _: (_down(poses, tip, at, along, most), None)  # noqa: B023, E731
+        at, _ = jax.lax.scan(steps, (walked[lowest], nearest), None, length=_STEPS)
         place = at[0] if tip.closed else jnp.clip(at[0], walked[0], walked[-1])
         smallest = smaller(smallest, _apart(poses, tip, (place, at[1])))
     return smallest
@@ -149,9 +149,8 @@ def _lowest(
     # No step is longer than samples are apart: the size of what they cover over the root of their number.
     apart = root(jnp.max(points.dot(points))) * (3.0 / samples**0.5)
     for other in others:
-        place = begin
-        for _ in range(_DOWN):
-            place = _downward(poses, walked, place, other, apart)
+        down = lambda place, _: (_downward(poses, walked, place, other, apart), None)  # noqa: B023, E731
+        place, _ = jax.lax.scan(down, begin, None, length=_DOWN)
         least = smaller(least, _outside(poses, walked.frame(place).point, others))
     return least
 

@@ -227,7 +227,7 @@ def _descend(
 
     `both` gives the misfits and their derivative first; what follows these is handed on.
     """
-    evaluate = lambda x: tuple(map(np.asarray, both(jnp.asarray(x))))  # noqa: E731
+    evaluate = lambda x: tuple(map(np.asarray, both(jax.device_put(x))))  # noqa: E731
     left, slopes, *rest = evaluate(x)
     if not (_has_squares(left) and _has_squares(slopes)):
         return x, 0, RESULTS.not_finite, (left, slopes, *rest)
@@ -343,12 +343,8 @@ def _checked(make: Any, guess: Any, observe: Any) -> tuple[tuple[str, ...], np.n
 
 def _times(ts: Any) -> jax.Array:
     times = as_floats("ts", ts, (None,))
-    if (
-        not len(times)
-        or float(times[0]) < 0.0
-        or float(times[-1]) <= 0.0
-        or bool(jnp.any(jnp.diff(times) <= 0.0))
-    ):
+    seen = np.asarray(times)
+    if not len(seen) or seen[0] < 0.0 or seen[-1] <= 0.0 or np.any(np.diff(seen) <= 0.0):
         raise ValueError(f"argument ts must be rising times from 0 or later, but was {shown(times)}")
     return times
 

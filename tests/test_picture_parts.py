@@ -1906,7 +1906,8 @@ def test_a_run_is_played_as_fast_as_is_asked_unless_that_takes_too_many_frames(m
         assert _animate.animate(grasp, run, path, **options) == path
         ((_, seen, forces), look), (_, frames, delay) = shown
         assert forces is None and look["corners"][0, 1] == 0.0
-        np.testing.assert_allclose(seen, run.states.q[np.searchsorted(run.ts, [t - 0.01 for _, t in frames])])
+        at = np.searchsorted(run.ts, [t - 0.01 for _, t in frames])
+        np.testing.assert_allclose(seen, np.asarray(run.states.q)[at])
         return [t for _, t in frames], delay, look["speed"], look["size"]
 
     # 0.6 s at once; at six times real time in five steps of 20 ms; in steps of 80 ms, saved every 50.

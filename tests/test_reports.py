@@ -108,17 +108,17 @@ def test_why_finds_the_contact_that_ended_a_run_which_does_not_say(code, end, wa
 
 def moved(grasp, start, end, *, forces=None):
     """A run made by hand: two saved states of a grasp."""
-    q = jnp.array([start, end], float)
+    q = np.array([start, end], float)
     n, c = sum(body.positions for body in grasp.bodies), len(grasp.contacts)
     assert q.shape == (2, n)
     places = 6 * c if grasp.spatial else c
-    states = jxr.State(q, jnp.zeros((2, grasp.coordinates)), jnp.zeros((2, places)))
-    aside = jnp.zeros((2, c, 3) if grasp.spatial else (2, c))
-    left = Residuals(jnp.zeros((2, c)), aside, aside)
+    states = jxr.State(q, np.zeros((2, grasp.coordinates)), np.zeros((2, places)))
+    aside = np.zeros((2, c, 3) if grasp.spatial else (2, c))
+    left = Residuals(np.zeros((2, c)), aside, aside)
     stats = Stats(*(np.array(k) for k in (3, 3, 0)), np.array(1.0), np.array(-1), np.array(np.nan))
     last = jax.tree.map(lambda x: x[-1], states)
-    given = (jnp.array([0.0, 1.0]), states, last, left, jxr.RESULTS.successful, stats, forces)
-    return jxr.Trajectory(*given, labels=grasp.labels)
+    given = jax.device_put((np.array([0.0, 1.0]), states, last, left))
+    return jxr.Trajectory(*given, jxr.RESULTS.successful, stats, forces, labels=grasp.labels)
 
 
 def on_a_plate(*directions):
@@ -194,7 +194,7 @@ FIRST = ("ts", "states", "last", "residuals", "result", "stats")
 
 def test_batches_print_names_units_and_which_contacts(run):
     both = [ended(run, "contact_lost", contact=0, t=0.2), ended(run, "contact_lost", contact=0, t=0.3), run]
-    lanes = jax.tree.map(lambda *x: jnp.stack(x), *both)
+    lanes = jax.tree.map(lambda *x: np.stack(x), *both)
     text = str(lanes)
     assert text.splitlines()[0].startswith("Trajectory of 3 lanes")
     assert "1 lane: successful" in text
@@ -213,7 +213,7 @@ def test_batches_print_names_units_and_which_contacts(run):
     ],
 )
 def test_batches_say_what_the_number_of_what_ended_them_counts(run, code, counted):
-    lanes = jax.tree.map(lambda *x: jnp.stack(x), ended(run, code, contact=1, t=0.2), run)
+    lanes = jax.tree.map(lambda *x: np.stack(x), ended(run, code, contact=1, t=0.2), run)
     assert f"1 lane: {code} at t = 0.2 s ({counted} 1: 1)" in str(lanes)
 
 
@@ -445,7 +445,7 @@ def test_records_print_as_one_line_concrete_batched_traced_and_abstract(record):
         left_out = {"memory"} if record is jxr.State and value is None else set()
         assert {name for name in names if f"{name}=" not in text} == left_out
     seen = []
-    jax.jit(lambda x: seen.append(repr(filled(x))) or x)(jnp.ones(3))
+    jax.eval_shape(lambda x: seen.append(repr(filled(x))) or x, jnp.ones(3))
     assert "traced float64[3]" in seen[0] or not names
     assert "unknown float64[3]" in repr(filled(jax.ShapeDtypeStruct((3,), np.float64))) or not names
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 from tqdm import tqdm
@@ -252,7 +251,7 @@ class _Program:
         self._call = traced.lower().compile()
 
     def _rows(self, index: np.ndarray) -> Any:
-        return jax.tree.map(lambda x: jnp.asarray(x[index]), self.grid)
+        return jax.tree.map(lambda x: jax.device_put(x[index]), self.grid)
 
     def run(self, todo: np.ndarray, found: list[np.ndarray]) -> Iterator[int]:
         """Run rows, put their outcomes into the arrays of the map, and yield how many each chunk had."""

@@ -106,7 +106,7 @@ def _broken(name: str) -> Any:
 def _stretched() -> dict[str, Any]:
     """A run in which all rolling happens at once: later times are drawn on a logarithmic axis."""
     grasp, run = runs.scene("pivoted")[0], runs.run("pivoted")
-    early = run.states.s[np.minimum(np.arange(len(run.ts)), 1)]
+    early = np.asarray(run.states.s)[np.minimum(np.arange(len(run.ts)), 1)]
     return drawn(plotting.responses(grasp, eqx.tree_at(lambda r: r.states.s, run, early)))
 
 

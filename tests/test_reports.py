@@ -116,7 +116,7 @@ def moved(grasp, start, end, *, forces=None):
     aside = np.zeros((2, c, 3) if grasp.spatial else (2, c))
     left = Residuals(np.zeros((2, c)), aside, aside)
     stats = Stats(*(np.array(k) for k in (3, 3, 0)), np.array(1.0), np.array(-1), np.array(np.nan))
-    last = jax.tree.map(lambda x: x[-1], states)
+    last = jax.tree.map(lambda x: np.asarray(x)[-1], states)
     given = jax.device_put((np.array([0.0, 1.0]), states, last, left))
     return jxr.Trajectory(*given, jxr.RESULTS.successful, stats, forces, labels=grasp.labels)
 
@@ -277,7 +277,9 @@ def test_records_print_their_units():
 
 @pytest.mark.parametrize("missing", [slice(None), 1])
 def test_pictures_want_saved_times(scene, run, missing, tmp_path):
-    times = eqx.tree_at(lambda r: r.ts, run, run.ts.at[missing].set(np.nan))
+    ts = np.array(run.ts)
+    ts[missing] = np.nan
+    times = eqx.tree_at(lambda r: r.ts, run, ts)
     for draw in (plotting.page, plotting.animate, plotting.poses, plotting.responses):
         file = (tmp_path / "it",) if draw in (plotting.page, plotting.animate) else ()
         with pytest.raises(ValueError, match=r"argument trajectory\.ts must be finite, but was"):
@@ -713,7 +715,7 @@ def test_why_says_what_it_cannot_judge(scene, run):
     with pytest.raises(ValueError, match="argument grasp must be a Grasp"):
         jxr.why(state, grasp)
     with pytest.raises(ValueError, match="argument state must be one run"):
-        jxr.why(grasp, jax.tree.map(lambda x: jnp.stack([x, x]), run))
+        jxr.why(grasp, jax.tree.map(lambda x: np.stack([x, x]), run))
     with pytest.raises(ValueError, match="argument state must hold known numbers, but JAX is tracing"):
         jax.jit(lambda s: jxr.why(grasp, s).gap)(state)
     with pytest.raises(ValueError, match=r"argument state\.q must have shape"):

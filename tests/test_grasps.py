@@ -149,14 +149,14 @@ def test_the_search_for_a_closed_state_ends_in_single_precision(scene, hold, mon
 @pytest.mark.parametrize("hold", [True, False])
 def test_displacements_are_measured_by_the_mass_matrix_and_those_along_contours_hardly(scene, hold):
     grasp, state = scene
-    found = jax.jit(lambda state: _search.metric_at(grasp.prepared(), state, hold))(state)
+    metrics = lambda state: [_search.metric_at(grasp.prepared(), state, hold, kept) for kept in ((), (1,))]  # noqa: E731
+    found, held = map(np.asarray, jax.jit(metrics)(state))
     n, slack = len(state.q), 0 if hold else 1
     assert found.shape == (n + slack, n + slack)
     # The object turns about its pivot by itself; finger and object are coupled by nothing but forces.
-    assert float(found[0, 0]) > 0.0 and not np.asarray(found[0, 1:]).any()
-    moving = np.asarray(found[:n, :n])
+    assert found[0, 0] > 0.0 and not found[0, 1:].any()
+    moving = found[:n, :n]
     np.testing.assert_allclose(np.trace(moving), n)
-    held = _search.metric_at(grasp.prepared(), state, hold, (1,))
     np.testing.assert_allclose(held, np.delete(np.delete(found, 1, axis=0), 1, axis=1))
     # Of two rods in a row, by hand; q[1] is the angle between them.
     links = grasp.fingers[0]

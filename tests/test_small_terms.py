@@ -25,6 +25,7 @@ from jaxroll.plotting._loci_figure import _curves
 from jaxroll.plotting._style import Picture
 from jaxroll.plotting._views import _placed
 from jaxroll.plotting._views3 import scene_motion
+from tests.recorded import runs
 
 STILL = pose_at(Vec3(0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
@@ -89,8 +90,7 @@ def test_flat_on_flat_has_no_curvature_and_is_a_number():
 
 def test_contact_points_are_drawn_on_the_object():
     """Where the object was turned and moved, by its pose and its contour."""
-    grasp, state = jxr.scenes.pivoted()
-    run = jxr.simulate(grasp, state, 0.2, ts=3)
+    grasp, run = runs.scene("pivoted")[0], runs.run("pivoted", times=3)
     points = np.asarray(_placed(grasp, run.states)[2])[:, 0]
     theta, face = np.asarray(run.states.q[:, 0]), grasp.object.contours[0]
     own = np.asarray(face.point(grasp.contacts[0].s_object - run.states.s[:, 0]))
@@ -158,7 +158,7 @@ def test_distances_of_points_from_the_curve_they_were_taken_from_are_small():
     points = np.stack([0.02 * np.cos(u), 0.014 * np.sin(u)], axis=-1)
     slope, at, places = _start(points)
     cloud = _Cloud(points=jnp.asarray(points), places=jnp.asarray(places))
-    assert np.abs(_residuals(jnp.asarray(slope), at, cloud)).max() * 8 < 2e-5
+    assert np.abs(jax.jit(_residuals)(jnp.asarray(slope), at, cloud)).max() * 8 < 2e-5
 
 
 def test_an_animation_in_space_says_its_pace_and_its_time(ball, tmp_path, monkeypatch):

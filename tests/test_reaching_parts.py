@@ -359,7 +359,7 @@ def test_rows_and_slopes_of_postures_are_those_of_their_points():
     """Two contacts of one tip; slopes by central differences. A joint that is held changes nothing."""
     reacher, h = reacher_of(free=(True, False)), 1e-6
     q, places = np.array([[0.3, 0.9], [-0.4, 1.7]]), np.array([[[0.004], [0.02]], [[0.011], [0.033]]])
-    _, _, error, rows, slopes = _postures._evaluated(reacher, TARGETS, q, places)
+    _, _, error, rows, slopes, bends = _postures._evaluated(reacher, TARGETS, q, places)
 
     def rows_of(i, step):
         points, normals = tip_at(reacher, q[i] + step[:2], places[i] + step[2:, None])
@@ -367,6 +367,7 @@ def test_rows_and_slopes_of_postures_are_those_of_their_points():
         return np.concatenate([gaps.ravel(), (normals + TARGETS.normals).ravel()])
 
     for i in range(2):
+        np.testing.assert_array_equal(bends[i], reacher.tip.frames(places[i]).bends)
         np.testing.assert_allclose(rows[i], rows_of(i, np.zeros(4)), atol=1e-14)
         np.testing.assert_allclose(error[i], np.sum(rows[i] ** 2))
         for k, step in enumerate(h * np.eye(4)):
@@ -390,10 +391,11 @@ def test_places_of_a_tip_are_shifted_by_less_than_half_its_radius():
     reacher = reacher_of()
     places = np.array([[[0.004], [0.02]], [[0.011], [0.033]]])
     steps = np.array([[1e-4, -2e-4], [3e-4, 1.0]])
-    bend = reacher.tip.frames(places[1, 1:]).bends[0, 0, 0]
+    bends = reacher.tip.frames(places.reshape(4, 1)).bends.reshape(2, 2, 1, 1)
     length = float(np.diff(reacher.tip.shape.domain())[0])
-    wanted = places[..., 0] + [[1e-4, -2e-4], [3e-4, 0.5 / bend]]
-    np.testing.assert_allclose(_postures._shifted(reacher, places, steps)[..., 0] % length, wanted % length)
+    wanted = places[..., 0] + [[1e-4, -2e-4], [3e-4, 0.5 / bends[1, 1, 0, 0]]]
+    found = _postures._shifted(reacher.tip, places, bends, steps)
+    np.testing.assert_allclose(found[..., 0] % length, wanted % length)
 
 
 def test_what_a_search_leaves_is_told_in_metres_and_by_normals():

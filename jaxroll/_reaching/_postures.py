@@ -107,12 +107,13 @@ def searched_postures(
     state = _evaluated(reacher, targets, starts, places)
     damping, rounding = np.full(STARTS, 1e-3), (0.01 * _TOUCHES.of(state)) ** 2
     for _ in range(_STEPS):
-        q, places, error, rows, slopes = state
+        q, places, error, rows, slopes, bends = state
         step = _damped(rows, slopes, damping)
         new_q = q + np.where(reacher.free, np.clip(step[:, : q.shape[1]], -0.5, 0.5), 0.0)
         if limits is not None:
             new_q = np.clip(new_q, *limits.T)
-        trial = _evaluated(reacher, targets, new_q, _shifted(reacher, places, step[:, q.shape[1] :]))
+        shifted = _shifted(reacher.tip, places, bends, step[:, q.shape[1] :])
+        trial = _evaluated(reacher, targets, new_q, shifted)
         better = trial[2] < error
         state = tuple(
             np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
@@ -122,7 +123,7 @@ def searched_postures(
         # Rounding alone is left, or no step helps.
         if np.all((state[2] < rounding) | (damping > _STUCK)):
             break
-    q, places, _, rows, _ = state
+    q, places, _, rows, *_ = state
     c = len(targets.points)
     gaps, tilts = np.split(np.linalg.norm(rows.reshape(len(q), 2 * c, -1), axis=2), 2, axis=1)
     return Postures(q, places, gaps.max(axis=1) * reacher.length, tilts.max(axis=1))
@@ -171,16 +172,15 @@ def _facing(reacher: Reacher, targets: TouchPoints, q: np.ndarray) -> np.ndarray
     return reacher.places[some][np.argmin(facing, axis=2)]
 
 
-def _shifted(reacher: Reacher, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Places of the tip after tangent steps, shape (n, c k)."""
-    n, c = places.shape[:2]
-    flat = places.reshape(n * c, -1)
-    steps = shortened(steps.reshape(n * c, -1), reacher.tip.frames(flat).bends)
-    return reacher.tip.moved(flat, steps).reshape(places.shape)
+def _shifted(tip: Sheet, places: np.ndarray, bends: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Places of the tip, where it has these bends, after tangent steps, shape (n, c k)."""
+    count = places.shape[0] * places.shape[1]
+    steps = shortened(steps.reshape(count, -1), bends.reshape(count, *bends.shape[2:]))
+    return tip.moved(places.reshape(count, -1), steps).reshape(places.shape)
 
 
 def _evaluated(reacher: Reacher, targets: TouchPoints, q: np.ndarray, places: np.ndarray) -> tuple[Any, ...]:
-    """Joints, places, sum of squares, rows (n, r) and their derivatives (n, r, u) at postures.
+    """Joints, places, sum of squares, rows (n, r), their derivatives (n, r, u) and bends at postures.
 
     Rows are the gaps over the finger's length, contact by contact, then the sums of both normals.
     """
@@ -208,7 +208,8 @@ def _evaluated(reacher: Reacher, targets: TouchPoints, q: np.ndarray, places: np
         slopes[:, 1, i, :, own] = tilt_along[:, i]
     rows = np.concatenate([gaps.reshape(n, -1), tilts.reshape(n, -1)], axis=1)
     error = np.einsum("nr,nr->n", rows, rows)
-    return q, places, np.where(np.isfinite(error), error, np.inf), rows, slopes.reshape(n, 2 * c * d, -1)
+    error = np.where(np.isfinite(error), error, np.inf)
+    return q, places, error, rows, slopes.reshape(n, 2 * c * d, -1), tip.bends
 
 
 def _damped(rows: np.ndarray, slopes: np.ndarray, damping: np.ndarray) -> np.ndarray:

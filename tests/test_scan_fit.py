@@ -52,11 +52,11 @@ def test_a_net_of_a_torus_is_closed_and_has_its_volume():
 
 @pytest.fixture(scope="module")
 def torus():
-    return fit_surface(torus_cloud(4000), smallest_radius=TORUS)
+    return fit_surface(torus_cloud(2500), smallest_radius=TORUS)
 
 
 def test_noisy_torus(torus):
-    """4000 points 0.1 mm off a torus: no poles, a handle, normals and curvatures of the closed form."""
+    """2500 points 0.1 mm off a torus: no poles, a handle, normals and curvatures of the closed form."""
     at = np.asarray(torus.feet)
     ring = 0.03 * at * [1.0, 1.0, 0.0] / np.hypot(at[:, 0], at[:, 1])[:, None]
     away = np.linalg.norm(at - ring, axis=1)
@@ -91,8 +91,7 @@ def test_the_whole_zero_set_is_one_torus(torus):
 
 
 def test_a_missing_bottom_is_closed_and_not_trusted():
-    cloud = ball_cloud(4000, 0.02)
-    # Still so high that the grid has as many cells as that of a whole ball: they share programs.
+    cloud = ball_cloud(2500, 0.02)
     fit = fit_surface(cloud[cloud[:, 2] > -0.015], smallest_radius=0.012)
     vertices, faces = surface_net(fit.surface, 2)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -123,16 +122,16 @@ def test_edges_of_a_box_are_rounded_and_its_faces_kept():
 
 
 def test_points_far_away_are_rejected():
-    cloud = ball_cloud(4000, 0.02)
+    cloud = ball_cloud(2500, 0.02)
     fit = fit_surface(np.concatenate([cloud, [[0.2, 0.0, 0.0], [0.0, 0.0, 0.15]]]), smallest_radius=0.012)
-    assert fit.report.rejected == 2 and len(fit.points) == 4000
+    assert fit.report.rejected == 2 and len(fit.points) == 2500
     assert fit.report.largest < 1e-4
 
 
 def test_large_clouds_are_thinned_without_a_bias(monkeypatch):
     """The fit takes means of points, which lie below the surface: in cells of 2.7 and of 0.3 mm."""
-    monkeypatch.setattr(_surface_fit, "_MANY", 10_000)
-    cloud = ball_cloud(12_000, 0.02) + NOISE * np.random.default_rng(1).normal(size=(12_000, 3))
+    monkeypatch.setattr(_surface_fit, "_MANY", 5000)
+    cloud = ball_cloud(6000, 0.02) + NOISE * np.random.default_rng(1).normal(size=(6000, 3))
     for options in ({"smallest_radius": 0.0106}, {"smoothing": 0.025}):
         away = np.linalg.norm(fit_surface(cloud, **options).feet, axis=1)
         assert abs(np.mean(away**2) - 0.02**2) < 3e-8

@@ -29,7 +29,9 @@ from .._results import (
     RESULTS,
     shown,
 )
-from .._types import ByPrecision, Given
+from .._types import ByPrecision, Given, Scalars
+from .._xla import quickly
+from ..geometry import AbstractSurface
 from ._choice import Choice, chosen_posture, judged_posture, Wish
 from ._overlap import sampled_object, SampledObject
 from ._postures import poses_at, Reacher, TouchPoints
@@ -267,7 +269,7 @@ def _places_on(grasp: Grasp, faces: list[Sheet], solid: SampledObject, contacts:
 def _check_on(face: Sheet, which: int, place: np.ndarray) -> None:
     """Raise for a place past an end of its face, where nothing is known of it."""
     if face.spatial:
-        margins = face.shape.margins(tuple(map(jnp.asarray, place)))
+        margins = _margins(face.shape, tuple(map(jnp.asarray, place)))
     else:
         ends = face.shape.domain()
         margins = () if ends is None or face.shape.closed else (place[0] - ends[0], ends[1] - place[0])
@@ -277,6 +279,11 @@ def _check_on(face: Sheet, which: int, place: np.ndarray) -> None:
             f"argument contacts must be places between the ends of faces, but {shown(place)} is {past:.3g} m "
             f"past one of face {which}"
         )
+
+
+@quickly
+def _margins(surface: AbstractSurface, at: Scalars) -> Scalars:
+    return surface.margins(at)
 
 
 def _foot(solid: SampledObject, which: int, point: np.ndarray) -> np.ndarray:

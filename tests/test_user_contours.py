@@ -211,7 +211,7 @@ GOOD = {
     "line": Wrapped(jxr.Line()),
     "arc": Wrapped(jxr.Catenary(0.01, (-0.03, 0.03))),
     "circle": Wrapped(jxr.Circle(0.01).moved((0.1, 0.2), 1.0)).moved(origin=0.01),
-    "ellipse": Wrapped(jxr.Ellipse(0.02, 0.014, cells=128)),
+    "ellipse": Wrapped(jxr.Ellipse(0.02, 0.014)),
     "spline": Wrapped(jxr.Spline(ring(), cells=256)),
 }
 

@@ -10,6 +10,7 @@ from scipy import stats
 import jaxroll as jxr
 from jaxroll import Parameters
 from jaxroll._sweep import _parameters
+from tests.subjects.driven_plate import driven_plate
 
 
 def test_a_grid_is_the_product_of_its_axes_the_last_one_fastest():
@@ -145,17 +146,17 @@ def test_they_are_saved_and_read_with_their_grid(tmp_path):
     np.testing.assert_array_equal(read.b, grid.b)
 
 
-def test_a_sweep_takes_them(scene):
+def test_a_sweep_takes_them():
     """Rows by attribute and by item; what is kept goes back into the grid."""
-    grasp, state = scene
-    grid = Parameters.grid(damping=[0.004, 0.006], force=[0.4, 0.5, 0.6])
+    grasp, state = driven_plate()
+    grid = Parameters.grid(damping=[6.0, 8.0], force=[0.4, 0.5, 0.6])
     settings = {"rtol": 1e-6, "keep": lambda run: run.last.q}
     ends = jxr.sweep(lambda p: (grasp.with_(**p), state), grid, 0.1, **settings)
     plain = jxr.sweep(
         lambda p: (grasp.with_(damping=p[0], force=p[1]), state), (grid.damping, grid.force), 0.1, **settings
     )
     np.testing.assert_array_equal(ends, plain)
-    assert grid.shaped(ends).shape == (2, 3, 3) and (grid.shaped(ends)[1, 2] == plain[5]).all()
+    assert grid.shaped(ends).shape == (2, 3, 4) and (grid.shaped(ends)[1, 2] == plain[5]).all()
 
 
 def test_samples_are_those_of_scipy_stretched_to_their_ranges():

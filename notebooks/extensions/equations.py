@@ -190,6 +190,14 @@ def _prose(text: str) -> str:
     return "\n".join(line for line in text.splitlines() if not line.strip().startswith((">>>", "...")))
 
 
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """A definition and all statements in it; expressions, most of a tree, define nothing."""
+    yield node
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.stmt | ast.excepthandler | ast.match_case):
+            yield from _statements(child)
+
+
 def _docstrings(node: ast.AST, names: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
     """Name and docstring of a module and of all that it defines.
 
@@ -199,7 +207,7 @@ def _docstrings(node: ast.AST, names: tuple[str, ...] = ()) -> Iterator[tuple[st
     whole = isinstance(node, ast.FunctionDef)
     said = [
         ast.get_docstring(part)
-        for part in (ast.walk(node) if whole else [node])
+        for part in (_statements(node) if whole else [node])
         if isinstance(part, ast.Module | ast.ClassDef | ast.FunctionDef)
     ]
     text = "\n\n".join(_prose(one) for one in said if one)

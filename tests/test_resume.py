@@ -1,4 +1,4 @@
-"""Runs that go on with other contacts: a jaw lifts off and returns, three fingers hand over to two."""
+"""Runs that go on with other contacts: a jaw lifts off and returns, three hand over to two."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ from jaxroll.loads import Impulse, Push
 from tests.oracles import reference_space as reference
 from tests.oracles.dense_impacts import dense_strike
 from tests.recorded import runs
-from tests.subjects.disc_between_jaws import disc_between_jaws
+from tests.subjects.disc_between_jaws import disc_among_jaws, disc_between_jaws
 from tests.subjects.pinches_in_space import same_in_reference
 
 EVENTS = ("lift", "friction", "penetration")
@@ -105,10 +105,9 @@ def test_a_contact_that_a_blow_knocks_off_is_dropped_before_the_blow(pushed):
     assert bool(jxr.strike(left, start, hit.load[0]).result == jxr.RESULTS.successful)
 
 
-def test_three_fingers_hand_over_to_two():
+def test_three_jaws_hand_over_to_two():
     """A push takes the disc off one of them, in a direction in which its friction does not hold it."""
-    grasp, state = runs.scene("ring")
-    loaded = grasp.with_(load=Push((-0.03, -6.0), 0.0, 0.03))
+    loaded, state = disc_among_jaws(Push((-8.0, -0.5), 0.0, 0.03))
     lost = jxr.simulate(loaded, state, 0.1, ts=3, throw=False)
     assert bool(lost.result == jxr.RESULTS.contact_lost) and int(lost.stats.contact) == 0
     left, start, t = jxr.resume(loaded, lost)

@@ -1,4 +1,4 @@
-"""A disc that two driven jaws press from both sides: the smallest grasp that can lose a contact and go on."""
+"""A disc that driven jaws press from all sides: the smallest grasps that can lose a contact and go on."""
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,23 @@ def disc_between_jaws(load=None):
     disc = jxr.FreeObject(jxr.Circle(RADIUS), 0.05, 1e-5)
     grasp = jxr.Grasp(disc, jaws, contacts[::-1], controller=law, load=load)
     return grasp, jxr.State(np.zeros(5), np.zeros(5), np.zeros(2))
+
+
+def disc_among_jaws(load=None):
+    """Three round jaws, evenly round the disc, which move in the plane and press towards its middle."""
+    angles = 2.0 * np.pi * np.arange(3) / 3
+    out = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    jaws = [jxr.Jaw(jxr.Circle(TIP), 0.03, [0.0, 0.5 * np.pi], base=(RADIUS + TIP) * way) for way in out]
+    contacts = [jxr.Contact(TIP * (a - np.pi), RADIUS * a, finger=i) for i, a in enumerate(angles)]
+    law = jax.tree_util.Partial(_pushing, jnp.asarray(-out))
+    disc = jxr.FreeObject(jxr.Circle(RADIUS), 0.05, 1e-5)
+    grasp = jxr.Grasp(disc, jaws, contacts, controller=law, load=load)
+    return grasp, jxr.State(np.zeros(9), np.zeros(9), np.zeros(3))
+
+
+def _pushing(forces, t, places, rates, tips):
+    """A constant force on each jaw along both its axes, less its damping."""
+    return tuple(force - rate for force, rate in zip(forces, rates, strict=True))
 
 
 def _pressing(forces, t, places, rates, tips):

@@ -147,6 +147,7 @@ def rolled_down(numbers, way, bar, t1):
     """A disc that rolls down until it slips or its hill ends, by its friction, its mass and that end.
 
     Time and state of its end, their derivative along a way, the gradient of a weighted sum, and the code.
+    It is a single lane of a single one, which is no batch.
     """
 
     def reached(numbers):
@@ -154,8 +155,11 @@ def rolled_down(numbers, way, bar, t1):
         run = ends(*disc_on_a_hill(friction=friction, mass=mass, reach=reach), t1=t1)
         return jnp.concatenate([run.stats.t_end[None], run.last.q, run.last.v]), run.result._value
 
-    values, push, code = jax.linearize(reached, numbers, has_aux=True)
-    return values, push(way), jax.linear_transpose(push, numbers)(bar)[0], code
+    def both_modes(numbers):
+        values, push, code = jax.linearize(reached, numbers, has_aux=True)
+        return values, push(way), jax.linear_transpose(push, numbers)(bar)[0], code
+
+    return jax.tree.map(lambda x: x[0, 0], jax.vmap(jax.vmap(both_modes))(numbers[None, None]))
 
 
 def slipping_disc(numbers, way, bar):

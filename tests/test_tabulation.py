@@ -15,7 +15,7 @@ RING = ellipse_points(16) * (1.0 + 0.03 * np.random.default_rng(0).normal(size=(
 WAVES = np.array([0.01, 0.0, 3e-4, 1e-4, 0.0, 2e-4, 1e-4])
 SHAPES = {
     "closed spline": (lambda x: jxr.Spline(x, cells=64), RING),
-    "open spline": (lambda x: jxr.Spline(x, closed=False, origin=5, cells=64), RING),
+    "open spline": (lambda x: jxr.Spline(x, closed=False, origin=5, cells=192), RING),
     "support function": (lambda x: jxr.SupportFunction(x[0], x[1:4], x[4:], cells=64), WAVES),
     "ellipse": (lambda x: jxr.Ellipse(x[0], x[1], cells=64).prepared(), np.array([0.012, 0.02])),
 }

@@ -53,7 +53,7 @@ def pinch_scene(grasp: Any, state: Any) -> list[str]:
     control, body = grasp.controller, grasp.object
     alpha, damping = float(np.asarray(control.alpha)[0]), float(np.asarray(control.damping)[0])
     return [
-        *(f"  finger {i}    {_finger(finger)}" for i, finger in enumerate(grasp.fingers, 1)),
+        *(f"  finger i={i}  {_finger(finger)}" for i, finger in enumerate(grasp.fingers, 1)),
         f"  object      {1e3 * float(body.mass):g} g, {float(body.inertia):.4g} kg m^2",
         f"  control     beta = {float(control.beta):g} N/m, alpha = {alpha:g} N m/rad, c = {damping:g} N m s",
         *_verdict(grasp, state),
@@ -111,7 +111,7 @@ def pinch3d_scene(grasp: Any, state: Any) -> list[str]:
     links = [np.linalg.norm(np.asarray(finger.offsets), axis=1) for finger in grasp.fingers]
     return [
         *(
-            f"  finger {i}    {_row(lengths)} mm; {_row(finger.masses)} g"
+            f"  finger i={i}  {_row(lengths)} mm; {_row(finger.masses)} g"
             for i, (lengths, finger) in enumerate(zip(links, grasp.fingers, strict=True), 1)
         ),
         f"  object      {_row(body.outline)} mm, {1e3 * float(body.mass):g} g",

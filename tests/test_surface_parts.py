@@ -135,24 +135,18 @@ def test_values_of_a_field_of_splines_at_its_nodes_and_between():
     assert not spline_nets.surface_values(SplineSurface(slope, (0, 0, 0), 1.0), 2)[2].any()
 
 
-def test_a_field_grows_with_the_distance_from_its_grid():
-    """For one cell the last polynomials go on; they would come back to zero farther out, and bound a body."""
-    given, step = uneven(), 0.5
-    field = SplineSurface(given, (0.1, 0.2, 0.3), step)
-    value = lambda p: field.derivatives(Vec3(*p)).value  # noqa: E731
-    level, slope, bend = (
-        jax.jit(f) for f in (lambda p: field.derivatives(Vec3(*p)), jax.grad(value), jax.hessian(value))
-    )
-    cells = np.array(given.shape) - 5.0
-    for at in ((-0.9, 1.2, 0.8), (-3.0, 1.2, 0.8), (1.4, 40.0, -7.0), (-2.5, 9.0, 30.0)):
-        held = np.clip(at, -1.0, cells + 1.0)
-        away = step * np.linalg.norm(at - held)
-        wanted = scipys(given, tuple(held), (0, 0, 0)) + np.hypot(away, step) - step
-        place = np.array([0.1, 0.2, 0.3]) + step * np.array(at)
-        found = level(place)
-        assert float(found.value) == pytest.approx(wanted, rel=1e-10)
-        np.testing.assert_allclose(found.gradient.array(), slope(place), rtol=1e-10, atol=1e-12)
-        np.testing.assert_allclose(found.hessian.array(), bend(place), rtol=1e-9, atol=1e-11)
+def test_places_are_looked_for_from_the_grid():
+    """The field (p^2 - 1)(16 - p^2) of a ball of radius 1 is negative again farther out than 4."""
+    at = np.linspace(-1.5, 1.5, 8)
+    p2 = at[:, None, None] ** 2 + at[:, None] ** 2 + at**2
+    functions = BSpline(np.arange(-5.0, 9.0), np.eye(8), 5)(at + 1.5)
+    given = (p2 - 1.0) * (16.0 - p2)
+    for axis in range(3):
+        given = np.moveaxis(np.tensordot(np.linalg.inv(functions), given, axes=(1, axis)), 0, axis)
+    ball = SplineSurface(given, (-1.5, -1.5, -1.5), 1.0)
+    far = np.array([[0.5, 6.0, 1.0], [-7.0, 5.0, -9.0], [0.0, 0.3, 30.0]])
+    wanted = far / np.linalg.norm(far, axis=1, keepdims=True)
+    np.testing.assert_allclose(ball.near(far), wanted, rtol=0, atol=1e-12)
 
 
 def test_a_field_with_room_is_the_same_and_goes_on_beyond_its_grid():

@@ -17,8 +17,6 @@ from ._gauss import Gauss3
 from ._surface_implicit import AbstractImplicit, Level, level_frame, spread_in_box
 from ._tensor_bspline import block, contracted, ORDER, uniform
 
-# Cells around the grid in which the last polynomials are continued.
-_BEYOND = 1.0
 _ROOMY = 32  # along every axis, the number of coefficients of a field with room is a multiple of this
 
 
@@ -26,9 +24,9 @@ class SplineSurface(AbstractImplicit):
     r"""The zero set of $F = \sum c_{ijk} B_i(x) B_j(y) B_k(z)$, uniform quintic B-splines, $F < 0$ inside.
 
     Any shape, of any genus, has one chart-free coordinate: the point. `fit_surface` makes one from points.
-    Differentiable with respect to all its arrays. For one cell beyond the grid the last polynomials are
-    continued, so that a run can see that a contact leaves it; farther out the distance from there is added to
-    the field, which would come back to zero somewhere and bound bodies that are not there.
+    Differentiable with respect to all its arrays. Beyond the grid the last polynomials are continued, so that
+    a run can see that a contact leaves it; far out they may come back to zero, and what is looked for from
+    there (`near`, distances) begins at the grid.
 
     Args:
         coefficients: Shape (l, m, n), each at least 6; (l - 5) by (m - 5) by (n - 5) cells.
@@ -71,30 +69,19 @@ class SplineSurface(AbstractImplicit):
         corner = Vec3(*unstack(self.origin))
         # Along each axis: the position in cells, and derivatives over `step`, so that they are per metre.
         cells = (point - corner).array() / self.step
-        last = np.array(self.coefficients.shape) - (ORDER - 1.0)
-        held = jnp.clip(cells, -_BEYOND, last + _BEYOND)
-        local = uniform(held, self.coefficients.shape, self.step)
+        local = uniform(cells, self.coefficients.shape, self.step)
         near = block(self.coefficients, tuple(place.first for place in local))
         found = contracted(near, tuple(place.weights for place in local))
-        # `found[i, j, k]` is the derivative of order i in x, j in y and k in z. Along an axis on which the
-        # point is held the polynomial does not change.
-        free = jnp.where(held == cells, 1.0, 0.0)
-        first = free * jnp.stack([found[1, 0, 0], found[0, 1, 0], found[0, 0, 1]])
-        second = free * jnp.stack([found[2, 0, 0], found[0, 2, 0], found[0, 0, 2]])
-        # Of what is left, d, the field has (d^2 + h^2)^(1/2) - h more, with h the step.
-        away = (cells - held) * self.step
-        length = jnp.sqrt(jnp.sum(away * away) + self.step * self.step)
-        out = away / length
-        first, second = first + out, second + (1.0 - free - out * out) / length
-        (x, y, z), (a, b, c) = unstack(out), unstack(free)
-        mixed = (
-            a * b * found[1, 1, 0] - x * y / length,
-            a * c * found[1, 0, 1] - x * z / length,
-            b * c * found[0, 1, 1] - y * z / length,
-        )
-        xx, yy, zz = unstack(second)
-        hessian = Sym3(xx, mixed[0], mixed[1], yy, mixed[2], zz)
-        return once(Level(found[0, 0, 0] + (length - self.step), Vec3(*unstack(first)), hessian))
+        gradient = Vec3(found[1, 0, 0], found[0, 1, 0], found[0, 0, 1])
+        # `found[i, j, k]` is the derivative of order i in x, j in y and k in z.
+        mixed = (found[1, 1, 0], found[1, 0, 1], found[0, 1, 1])
+        hessian = Sym3(found[2, 0, 0], mixed[0], mixed[1], found[0, 2, 0], mixed[2], found[0, 0, 2])
+        return once(Level(found[0, 0, 0], gradient, hessian))
+
+    def start(self, point: Vec3) -> Scalars:
+        # Where the continued polynomials come back to zero is no body, but Newton's steps would find one.
+        held = zip(point, *self._corners(), strict=True)
+        return super().start(Vec3(*(jnp.clip(x, low, high) for x, low, high in held)))
 
     def frame(self, at: Scalars) -> Gauss3:
         point = Vec3(*at)
@@ -119,10 +106,10 @@ class SplineSurface(AbstractImplicit):
 
 
 def with_room(surface: SplineSurface) -> SplineSurface:
-    """The same field in its grid, with more coefficients: multiples of 32 along every axis.
+    """The same field with more coefficients: multiples of 32 along every axis.
 
-    What reads a field is compiled for every shape of its grid, and most grids then have one. What is added
-    continues the last polynomials.
+    What reads a field near its surface is compiled for every shape of its grid, and most grids then have one.
+    Beyond the grid the last polynomials are continued, as `SplineSurface` has it.
     """
     numbers = np.asarray(surface.coefficients)
     for axis, count in enumerate(numbers.shape):

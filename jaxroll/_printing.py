@@ -190,3 +190,8 @@ def _nested(array: np.ndarray) -> str:
     if array.ndim:
         return f"[{', '.join(_nested(part) for part in array)}]"
     return f"{array}" if array.dtype.kind == "b" else f"{array[()]:.6g}"
+
+
+def lowered(sentence: str) -> str:
+    """A sentence as part of another: without its capital and its full stop."""
+    return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}"

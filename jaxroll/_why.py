@@ -37,17 +37,19 @@ from ._integration import (
 )
 from ._mechanics import check_grasp, check_states, Grasp, State
 from ._motion import closed_within, Formulation, residuals, worst
-from ._printing import code_name, entry
+from ._printing import code_name, entry, lowered
 from ._results import check_instance, on_host
-from ._types import Given, Scalar
+from ._types import ByPrecision, Given, Scalar
 from .contact import Contact
 from .control import Sampled
-from .stability import assess, Stability, VERDICTS
+from .stability import assess, Equilibrium, Stability, VERDICTS
 
 # If no coordinate of a run changed by more than this [m or rad], no direction is given.
 _STILL = 1e-9
 # A contact whose forces are smaller than this [N] bears none: where nothing presses, rounding leaves some.
 _NO_FORCE = 2e-13
+# Share of the largest force that the rounding of its root leaves where a contact lifts.
+_AT_ROOT = ByPrecision(1e-9, 1e-4)
 # Coordinates that change by less than this share of the largest change are left out of a direction.
 _SLIGHT = 0.02
 # What helps where the failure is not the end of a run: `REMEDIES` has the others, by the code of the run.
@@ -135,8 +137,7 @@ class Why:
         verdict = f"{code_name(found.verdict)}: {VERDICTS[found.verdict]}"
         if not bool(found.equilibrium.found):
             return [verdict]
-        forces = found.equilibrium.multipliers
-        return [verdict, *(_force(self.grasp, i, *pair) for i, pair in enumerate(_pairs(forces)))]
+        return [verdict, *_forces(self.grasp, found.equilibrium)]
 
 
 @on_host
@@ -265,7 +266,7 @@ def _judged(grasp: Grasp, state: State, t0: Scalar, run: Trajectory) -> Why:
             summary = f"{summary}; its equilibrium is unstable"
             remedy = f"{_MEND[_blamed(grasp, found, near, when)]}; against the end alone, {remedy}"
     elif found is not None and verdict in _MEND:
-        summary = f"holds until t = {float(t):.4g} s, but {_lower(VERDICTS[found.verdict])}"
+        summary = f"holds until t = {float(t):.4g} s, but {lowered(VERDICTS[found.verdict])}"
         remedy = _MEND[_blamed(grasp, found, near, when)]
     else:
         summary, remedy = "holds", ""
@@ -322,24 +323,23 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
     Comparisons with zero are written so that NaN counts as a failure. A contact without force does not pull.
     Of contacts that fail by the same to rounding, the one at which the run `ended` is named.
     """
-    curvature, f = np.asarray(start.curvature), _pressing(grasp, start)
+    curvature = np.asarray(start.curvature)
     if not np.all(curvature > FLAT):
         at = int(np.argmin(curvature))
-        name = contact_name(grasp.labels, at)
-        told = (
-            f"fails at the start: {name} is singular, the sum of its curvatures is not positive to {FLAT:g}"
-        )
+        told = f"is singular, the sum of its curvatures is not positive to {FLAT:g}"
+        told = f"fails at the start: {contact_name(grasp.labels, at)} {told}"
         return told, REMEDIES["singular_contact"], at
     if not float(start.pivot) > SINGULAR:
         told = (
             "fails at the start: contacts are redundant or an arm is straight, so that forces have no answer"
         )
         return told, REMEDIES["singular_contact"], -1
-    pairs = _pairs(start.multipliers)
+    pairs, f = _pairs(start.multipliers), _pressing(grasp, start)
     if not all(pressing > 0.0 or pair == (0.0, 0.0) for pressing, pair in zip(f, pairs, strict=True)):
         lost = np.isnan(f)
         at = int(np.argmax(lost)) if lost.any() else _least(f, ended)
-        does = "bears a force that is no number" if lost[at] else f"pulls with {abs(f[at]):.3g} N"
+        does = f"pulls with {-f[at]:.3g} N" if f[at] else "presses with nothing"
+        does = "bears a force that is no number" if lost[at] else does
         what = REMEDIES["not_finite"] if lost[at] else _MEND["pulls"]
         return f"fails at the start: {contact_name(grasp.labels, at)} {does}", what, at
     limits = [_friction(grasp, i) for i in range(len(grasp.contacts))]
@@ -349,7 +349,8 @@ def _early(grasp: Grasp, start: Bearing, ended: int) -> tuple[str, str, int] | N
     ]
     if min(room) < 0.0:
         at = _least(np.array(room), ended)
-        name, need = contact_name(grasp.labels, at), pairs[at][1] / pairs[at][0]
+        name, (pressing, aside) = contact_name(grasp.labels, at), pairs[at]
+        need = aside / pressing if pressing else np.inf
         told = f"fails at the start: {name} needs friction {need:.3g}, but has {limits[at]:.3g}"
         return told, _MEND["slips"], at
     return None
@@ -364,8 +365,8 @@ def _least(values: np.ndarray, preferred: int) -> int:
 
 def _pressing(grasp: Grasp, at: Bearing) -> np.ndarray:
     """Normal force of each contact [N]; infinite for one that holds both ways, which cannot be lost."""
-    presses = np.array([contact.presses for contact in grasp.contacts])
-    return np.where(presses, np.asarray(at.multipliers.f), np.inf)
+    each = zip(grasp.contacts, _pairs(at.multipliers), strict=True)
+    return np.array([pressing if contact.presses else np.inf for contact, (pressing, _) in each])
 
 
 def _culprit(grasp: Grasp, run: Trajectory, end: Bearing | None) -> int:
@@ -410,10 +411,13 @@ def _friction(grasp: Grasp, contact: int) -> float | None:
 def _pairs(forces: Any) -> list[tuple[float, float]]:
     """Normal force and magnitude of the tangential force of each contact [N].
 
-    In the plane the tangential force of a contact is one number, in space a vector.
+    In the plane the tangential force of a contact is one number, in space a vector. A normal force that is
+    rounding beside the largest force is zero.
     """
     f, lam = np.asarray(forces.f), np.asarray(forces.lam)
     aside = np.linalg.norm(lam, axis=-1) if lam.ndim > f.ndim else np.abs(lam)
+    largest = np.max(np.abs([f, aside]), initial=0.0, where=np.isfinite([f, aside]))
+    f = np.where(np.abs(f) <= _AT_ROOT.of(f) * largest, 0.0, f)
     return [(float(a), float(b)) for a, b in zip(f, aside, strict=True)]
 
 
@@ -426,7 +430,7 @@ def _singular(grasp: Grasp, at: Bearing) -> str:
     return f"{'no' if fine else 'yes'}, {told}; smallest pivot {pivot:.3g}"
 
 
-def _forces(grasp: Grasp, at: Bearing) -> list[str]:
+def _forces(grasp: Grasp, at: Bearing | Equilibrium) -> list[str]:
     """A line on the force at each contact."""
     return [_force(grasp, i, *pair) for i, pair in enumerate(_pairs(at.multipliers))]
 
@@ -440,7 +444,8 @@ def _force(grasp: Grasp, contact: int, pressing: float, aside: float) -> str:
     if np.isnan(pressing) or max(abs(pressing), aside) < _NO_FORCE:
         return f"{name} bears {'a force that is no number' if np.isnan(pressing) else 'no force'}"
     if not pressing > 0.0:
-        return f"{name} pulls with {abs(pressing):.4g} N: no friction would do"
+        does = f"pulls with {-pressing:.4g} N" if pressing else f"presses with nothing, {aside:.4g} N beside"
+        return f"{name} {does}: no friction would do"
     return f"{name} presses with {pressing:.4g} N and needs friction {round(aside / pressing, 9):.4g}; {has}"
 
 
@@ -493,7 +498,3 @@ def _named(grasp: Grasp, way: np.ndarray) -> str:
         told = ", ".join(f"{each.name} {amount(float(x), each.unit, signed=True)}" for each, x in seen)
         parts += [f"{body}: {told}"] if told else []
     return "; ".join(parts)
-
-
-def _lower(sentence: str) -> str:
-    return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}"

@@ -776,14 +776,31 @@ def test_a_contact_that_holds_both_ways_cannot_be_lost():
     assert _why._force(pair, 0, 3.0, 0.0).endswith(
         "presses with 3 N and needs friction 0; no limit was given"
     )
-    assert _why._force(pair, 0, 0.0, 1.0).endswith("pulls with 0 N: no friction would do")
+    assert _why._force(pair, 0, -0.5, 1.0).endswith("pulls with 0.5 N: no friction would do")
+    assert _why._force(pair, 0, 0.0, 1.0).endswith(
+        "contour 0) presses with nothing, 1 N beside: no friction would do"
+    )
     assert _why._force(pair, 0, -0.0, 0.0).endswith("contour 0) bears no force")
     assert _why._force(pair, 0, np.nan, 0.0).endswith("contour 0) bears a force that is no number")
     pushed = _early(rubbing_pair(0.3, 0.3), bearing((1.0, 0.0), (0.0, 1.0)), -1)
-    assert pushed[0] == "fails at the start: contact 1 (finger 1 on contour 1) pulls with 0 N"
+    assert pushed[0] == "fails at the start: contact 1 (finger 1 on contour 1) presses with nothing"
     in_space = SimpleNamespace(f=np.array([2.0, 1.0]), lam=np.array([[0.6, 0.0, -0.8], [0.0, 2.0, 0.0]]))
     assert _why._pairs(in_space) == [(2.0, 1.0), (1.0, 2.0)]
     assert _why._pairs(SimpleNamespace(f=np.array([2.0]), lam=np.array([-0.5]))) == [(2.0, 0.5)]
+
+
+def test_a_contact_that_lifts_presses_with_nothing():
+    """What the root of its force leaves is rounding, on either side of zero, and no pull."""
+    pair = rubbing_pair(None, None)
+    for kind, rounding in ((np.float64, 2.5e-12), (np.float32, 2.5e-5)):
+        for f in (rounding, -rounding):
+            found = bearing(np.array([f, 2.0], kind), (0.5, 0.5))
+            assert "contour 0) presses with nothing, 0.5 N beside" in _why._forces(pair, found)[0]
+            assert _early(pair, found, -1)[0].endswith(
+                "contact 0 (finger 0 on contour 0) presses with nothing"
+            )
+            assert _early(pair, bearing(np.array([f, 2.0], kind), (0.0, 0.5)), -1) is None
+    assert "pulls with 1e-08 N" in _why._forces(pair, bearing((-1e-8, 2.0), (0.5, 0.5)))[0]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Runs that go on with other contacts: a jaw lifts off and returns, three hand over to two."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxroll as jxr
+from jaxroll._integration import _resume
 from jaxroll._linalg import pose_at, Vec3
 from jaxroll.contact import clearance3
 from jaxroll.loads import Impulse, Push
@@ -208,8 +210,35 @@ def test_what_cannot_go_on_is_said(pushed):
     alone, _ = runs.scene("pivoted")
     with pytest.raises(ValueError, match="must leave the grasp a contact, but lost its only one"):
         jxr.resume(alone, runs.run("pivoted", ended="contact_lost"))
-    with pytest.raises(ValueError, match="must lose a contact that then opens"):
+    with pytest.raises(ValueError, match="then opens, .*: give the contacts a `friction`, .* its normal"):
         pieces(*disc_between_jaws(Push((8.0, 2.0), 0.0, 0.01)), 0.1)
+
+
+def test_a_fingertip_that_met_the_end_of_a_face_is_said():
+    """The end of a plate that turns about one round jaw, 1e-6 m inside of another one past it."""
+    plate, radius = jxr.FreeObject(jxr.Line((-0.02, 0.02)), 0.05, 1e-5), 0.01
+    past = (0.8 * radius - 1e-6, 0.02 + 0.6 * radius)
+    jaws = [jxr.Jaw(jxr.Circle(radius), 0.1, [0.0], base=at) for at in ((radius, 0.0), past)]
+    grasp = jxr.Grasp(plate, jaws, [jxr.Contact(np.pi * radius, 0.0)])
+    turning, before = jxr.State(np.zeros(5), [0.0, 0.0, -1.0, 0.0, 0.0], np.zeros(1)), runs.run("pivoted")
+    stats = dataclasses.replace(before.stats, contact=jnp.asarray(1), t_end=jnp.ones(()))
+    run = dataclasses.replace(before, result=jxr.RESULTS.penetration, last=turning, stats=stats)
+    with pytest.raises(ValueError, match=r"finger 1 met the end of face 0 of .* \(s_object = 0.02 m\)"):
+        jxr.resume(grasp, run)
+
+
+@pytest.mark.parametrize(
+    ("tip", "face", "s", "end"),
+    [
+        (jxr.Circle(0.01), jxr.Line((-0.02, 0.02)), (0.06, -0.0195), ("s_object", -0.02)),
+        (jxr.Line((-0.03, 0.01)), jxr.Line((-0.02, 0.02)), (0.01, 0.0195), ("s_tip", 0.01)),
+        (jxr.Circle(0.01), jxr.Line((-0.02, 0.02)), (0.06, 0.019), None),
+        (jxr.Circle(0.01), jxr.Circle(0.02), (0.06, 0.0), None),
+    ],
+)
+def test_the_end_that_met_is_the_nearest_of_both_shapes(tip, face, s, end):
+    """The fingertip's or the face's; none where both touch elsewhere, or have no ends."""
+    assert _resume._end_near((tip, face), SimpleNamespace(s=np.array(s))) == end
 
 
 def test_what_jax_traces_cannot_be_resumed(pushed):

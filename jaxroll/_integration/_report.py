@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .._mechanics import Coordinate, Labels, QUATERNION
-from .._printing import code_name, entry, so_many
+from .._printing import code_name, entry, lowered, so_many
 from .._results import concrete, message
 
 # What is said of the contact ("who") whose margin ran out; "by" is filled in from `_BY`.
@@ -134,9 +134,9 @@ def cause(run: Any) -> str:
         # The first step has no length (`_step_size.StopAt`), and is not among those that are limited.
         return f"the step limit was reached{when}, after {so_many(stats.steps - 1, 'step')}"
     if name in ("unreachable", "inconsistent_shape"):  # of the start or the shapes, whatever was run
-        return _lower(message(run.result))
+        return lowered(message(run.result))
     if name not in _TOLD or (contact < 0 and name == "singular_contact"):
-        return f"{_lower(message(run.result))}{when}"
+        return f"{lowered(message(run.result))}{when}"
     who = "a contact" if contact < 0 else contact_name(run.labels, contact)
     if _COUNTED.get(name) == "finger":  # an audit looks at fingers, whether they have a contact or not
         who = f"finger {contact}"
@@ -198,10 +198,6 @@ def amount(value: float, unit: str, *, signed: bool = False) -> str:
 
 def _code(run: Any) -> int:
     return int(concrete(run.result._value))  # pyright: ignore[reportArgumentType]
-
-
-def _lower(sentence: str) -> str:
-    return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}"
 
 
 def _reached(q: Any) -> np.ndarray:

@@ -6,15 +6,18 @@ points of both shapes (`contact.locate`) are at distance zero; the new contact b
 the inelastic impulse of `_motion._impulse`, which takes energy and never gives any.
 """
 
+from typing import Any
+
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from .._linalg import seven, three, total
 from .._mechanics import check_states, compiled, Grasp, split, State, to_leaves
-from .._motion import accelerations, bodies, memory_waiting, world_poses
+from .._motion import accelerations, bodies, closed_within, memory_waiting, residuals, world_poses, worst
 from .._printing import code_name
 from .._results import as_positive, on_host
 from .._types import Given, Scalar
@@ -31,6 +34,9 @@ _BACK = 1e-12
 _TOUCHING, _PASSES = 1e-15, 12
 # The gap of a contact that is lost where it does not rub has no acceleration, up to this share of its terms.
 _AGAIN = 1e-6
+# Share of a contour from its end in which a touch without a common tangent is one of that end. Where a corner
+# is inside of a fingertip, `locate` has no more than its lowest sample, of 128.
+_NEAR_END = 0.02
 
 
 @on_host
@@ -39,9 +45,11 @@ def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> t
 
     After `contact_lost` it is the grasp without that contact, at the end of the run, with its velocities;
     where a blow knocked it off, those before the blow, which the run that goes on begins with.
-    After `penetration` it has one contact more, between the finger that overlaps and the face that it
+    After `penetration` it has a new contact, its last, between the finger that overlaps and the face that it
     overlaps, at the time when they touched: all gaps stop closing there, by an inelastic impulse
-    $v_+ = v_- - M^{-1} A^T (A M^{-1} A^T)^{-1} A v_-$, and the positions are those of the touch.
+    $v_+ = v_- - M^{-1} A^T (A M^{-1} A^T)^{-1} A v_-$, and the positions are those of the touch. Contacts
+    that this blow throws off, because their impulse would have to pull, are dropped: there may be no more
+    contacts than before.
 
     For a run without an end of its own give `simulate` the events ('lift', 'friction', 'penetration') and
     call `resume` wherever one ends; every set of contacts is a program of its own, compiled once.
@@ -57,9 +65,10 @@ def resume(grasp: Grasp, run: Trajectory, *, friction: Given | None = None) -> t
     Raises:
         ValueError: If the run ended otherwise, lost its only contact, or one that would close again at once,
             as a contact without a coefficient of friction may that rubs where it no longer presses; if a
-            touch makes the contacts redundant, as of a ball that rolls into a corner; if
-            friction cannot answer a touch; if contours or surfaces without bounds touch each other; or if
-            JAX is tracing some number.
+            fingertip met the end of a face, such as the corner of a rectangle, or its own end met a face,
+            where they have no common tangent; if a touch makes the contacts redundant, as of a ball that
+            rolls into a corner; if friction cannot answer a touch; if contours or surfaces without bounds
+            touch each other; or if JAX is tracing some number.
 
     Accuracy: gaps of a touch below 1e-14 m. Not differentiable: which contacts there are is decided on the
     way; the pieces of a run are. Torques of `control.Sampled` are held on the way back; a sample between the
@@ -105,7 +114,8 @@ def _dropped(grasp: Grasp, run: Trajectory) -> tuple[Grasp, State, Scalar]:
     if pressed > _AGAIN:
         raise ValueError(
             f"argument run must lose a contact that then opens, but {contact_name(run.labels, lost)} rubs "
-            f"where it no longer presses, and would close again at once; with a friction it slips before"
+            f"where it no longer presses, and would close again at once: give the contacts a `friction`, so "
+            f"that it slips before, or push along its normal"
         )
     return left, state, run.stats.t_end
 
@@ -172,6 +182,7 @@ def _touched(grasp: Grasp, run: Trajectory, friction: Given | None) -> tuple[Gra
     if grasp.form.sampled:
         memory = memory_waiting(grasp, touched, state)
     start = State(state.q, state.v, jnp.concatenate([state.s, place]), memory)
+    _check_tangent(closed, start, found)
     nothing = Impulse((0.0,) * (3 if grasp.spatial else 2), 0.0)
     hit = strike(closed, start, nothing)
     while code_name(hit.result) == "contact_lost":
@@ -215,6 +226,32 @@ def _contact_at(
         return Contact3(finger, face, friction=friction), place
     contact = Contact(found.s[0], found.s[1], finger=finger, contour=face, friction=friction)
     return contact, jnp.zeros(1, found.s.dtype)
+
+
+def _check_tangent(closed: Grasp, start: State, found: Location | SurfaceLocation) -> None:
+    """Raise unless the last contact of a grasp, which was found there, closes: with a common tangent."""
+    left = jax.tree.map(lambda x: x[-1:], residuals(closed, start))
+    if float(worst(left)) <= closed_within(start.q.dtype):
+        return
+    new = closed.contacts[-1]
+    tip, face = f"finger {new.finger}", f"face {new.touched} of the object"
+    told = f"{tip} met {face} where they have no common tangent"
+    if isinstance(found, Location) and (end := _end_near(closed.shapes(new), found)) is not None:
+        name, s = end
+        met = f"{tip} met the end of {face}" if name == "s_object" else f"the end of {tip} met {face}"
+        told = f"{met} ({name} = {s:.4g} m): a corner is no contour"
+    raise ValueError(f"argument run must end where a fingertip touches within a face, but {told}")
+
+
+def _end_near(shapes: tuple[Any, Any], found: Location) -> tuple[str, float] | None:
+    """The end of a contour that is nearest to closest points, and whose it is; None if none is near."""
+    ends = []
+    for name, shape, s in zip(("s_tip", "s_object"), shapes, found.s, strict=True):
+        first, last = map(float, shape.domain())
+        if not shape.closed:
+            ends += [(abs(float(s) - end) / (last - first), name, end) for end in (first, last)]
+    share, name, end = min(ends, default=(np.inf, "", 0.0))
+    return (name, end) if share <= _NEAR_END else None
 
 
 @eqx.filter_jit

@@ -407,6 +407,24 @@ def test_points_that_follow_themselves_are_named(closed, rows, which):
         spline.check_distinct(points, False)
 
 
+@pytest.mark.parametrize(("kind", "share"), [(np.float64, 1e-12), (np.float32, 1e-6)])
+def test_neighbours_that_are_equal_to_rounding_are_one_point(kind, share):
+    """Beside the extent of the points, at their ends too, and beside how far they are from the origin."""
+    for turn, closed, which in ((3, False, "3 and 4"), (-1, True, "4 and 0")):
+        for times, same in ((0.9, True), (1.1, False)):
+            points = np.array([(0.0, 0.0), (0.0, 4 * times * share), (0, 3), (-4, 3), (-4, 0)], kind)
+            points = np.roll(points, turn, axis=0)
+            if same:
+                with pytest.raises(ValueError, match=f"points {which} are the same to rounding, .* m apart"):
+                    spline.check_distinct(points, closed)
+            else:
+                spline.check_distinct(points, closed)
+    far = (square(9) + 1e4).astype(kind)
+    far[4] = far[3] + np.array([0.0, 2.0 * np.spacing(kind(1e4))])
+    with pytest.raises(ValueError, match="but points 3 and 4 are the same to rounding"):
+        spline.check_distinct(far, False)
+
+
 def test_smoothing_is_a_wavelength_or_nothing():
     assert jxr.Spline(square(9)).wavelength == 0.0
     assert float(jxr.Spline(square(9), smoothing=0.3).wavelength) == 0.3

@@ -14,6 +14,8 @@ from tests.measures import both_ways, observed_order
 from tests.oracles.known_curves import circle_points, ellipse_errors, ellipse_points, RADIUS
 from tests.recorded import runs
 
+FULL_TURN = np.linspace(0.0, 2.0 * np.pi, 25)  # its end is its start, to rounding
+
 
 def test_ellipse_from_64_points():
     """The row of the accuracy table; the order is observed from 64 to 96 points."""
@@ -243,6 +245,11 @@ def test_a_contours_table_is_built_once():
         (ellipse_points(5), {}, "at least 6 points"),
         (ellipse_points(30)[::-1], {}, "counter-clockwise"),
         (np.vstack([ellipse_points(30), ellipse_points(30)[:1]]), {}, "must not repeat a point"),
+        (
+            RADIUS * np.stack([np.cos(FULL_TURN), np.sin(FULL_TURN)], -1),
+            {},
+            "24 and 0 are the same to rounding",
+        ),
         (np.full((30, 2), np.nan), {}, "must be finite"),
         (np.zeros((30, 3)), {}, "shape"),
         (ellipse_points(30), {"degree": 4}, "degree"),

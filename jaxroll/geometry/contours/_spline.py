@@ -42,6 +42,10 @@ _LARGEST = 1 << 24
 # to them. Each step leaves the same share of the error: after the third one its fourth power, 5e-10 and 1e-3.
 _REFINED = 3
 _LAST_STEP = ByPrecision(1e-7, 5e-3)
+# Neighbours nearer than this share of the points' extent are one point: there the rounding of their chord's
+# direction leaves curvatures off by 0.5 % (in single precision by their own size), and nearer by more.
+# The second number is how many roundings of the largest coordinate count as one point, too.
+_SAME, _ROUNDED = ByPrecision(1e-12, 1e-6), 4.0
 # Five-point Gauss-Legendre on [-1, 1].
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -74,9 +78,10 @@ class Spline(AbstractTabulated):
             recompiles.
 
     Raises:
-        ValueError: If there are too few points, two neighbours are the same, a closed contour runs
-            clockwise, or a number is not finite, far too large or too small for a length. Too long a
-            `smoothing` is refused with the table; a run whose points are traced is `unresolved`.
+        ValueError: If there are too few points, two neighbours are the same to rounding (1e-12 of the
+            points' extent, in single precision 1e-6), a closed contour runs clockwise, or a number is not
+            finite, far too large or too small for a length. Too long a `smoothing` is refused with the
+            table; a run whose points are traced is `unresolved`.
 
     Accuracy: an interpolating spline errs by $h^{p+1}$ in the point, $h^p$ in the tangent and $h^{p-1}$ in
     the curvature for degree $p$ and spacing $h$. 64 exact points of an ellipse of half axes 20 and 14 mm at
@@ -350,13 +355,20 @@ def check_enough(count: int, degree: int) -> None:
 
 
 def check_distinct(points: np.ndarray, closed: bool) -> None:
-    """Raise if a point follows itself, where the polygon has no direction."""
-    following = np.roll(points, -1, axis=0) if closed else points[1:]
-    same = np.flatnonzero(np.all(points[: len(following)] == following, axis=1))
+    """Raise if a point follows itself, or does so to rounding, where the polygon has no direction."""
+    # Lengths as shares of the largest coordinate, so that none overflows.
+    far = float(np.abs(points).max(initial=np.finfo(points.dtype).tiny))
+    shares = points / far
+    following = np.roll(shares, -1, axis=0) if closed else shares[1:]
+    steps = np.abs(shares[: len(following)] - following).max(axis=1)
+    least = _SAME.of(points) * np.ptp(shares, axis=0).max()
+    same = np.flatnonzero(steps <= max(least, _ROUNDED * np.finfo(points.dtype).eps))
     if same.size:
+        step = far * float(steps[same[0]])
         raise ValueError(
             f"argument points must not repeat a point (a closed contour joins its ends itself), "
             f"but points {same[0]} and {(same[0] + 1) % len(points)} are the same"
+            + (f" to rounding, {step:.3g} m apart" if step else "")
         )
 
 

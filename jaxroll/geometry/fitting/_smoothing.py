@@ -52,8 +52,8 @@ def smoothing_for(
         degree: As for the spline.
 
     Raises:
-        ValueError: If `noise` is not such a length, the points are fewer than the spline needs, repeat one or
-            are being traced.
+        ValueError: If `noise` is not such a length, the points are fewer than the spline needs, repeat one
+            (to rounding, too) or are being traced.
 
     Example:
         >>> import jaxroll as jxr, numpy as np

@@ -121,7 +121,8 @@ def simulate(
         events: What ends a run besides contour ends, singular contacts and limits that fingers were given:
             any of 'lift' (a normal force falls below zero), 'friction' (a contact with a coefficient leaves
             its friction cone), both by default, and 'penetration' (a fingertip overlaps the object elsewhere:
-            64 points of each contour or surface, from the lowest of which it goes down).
+            64 points of each contour or surface, from the lowest of which it goes down; a corner, where faces
+            end, is seen only once such a point is inside of all of them).
         stepsize_controller: A `diffrax.PIDController` without `dtmin`, one of your own that adapts, or
             `diffrax.ConstantStepSize()`, whose steps have the length `dt0` but where a save time cuts them.
             Default: `diffrax.PIDController` with `rtol` and `atol`.

@@ -104,13 +104,18 @@ def load(path: str | Path, *, own: Sequence[Any] = ()) -> Any:
         >>> float(jxr.load(path).radius)
         0.01
     """
-    path = _named(path)
+    given, path = path, _named(path)
     named = isinstance(own, tuple | list) and all(isinstance(x, type) or _findable(x) for x in own)
     if not named:
         raise ValueError(
             f"argument own must be a list of classes and functions that a module names, but was {shown(own)}"
         )
     if not os.path.isfile(path):  # of a name that is too long `path.is_file` raises
+        if os.path.isfile(given):
+            raise ValueError(
+                "argument path must name a file that `jaxroll.save` wrote, whose name ends in .npz, but was "
+                f"{shown(str(given))}"
+            )
         raise ValueError(f"argument path must name a file, but there is none called {shown(str(path))}")
     try:
         with path.open("rb") as file:  # of another file NumPy says how it could be loaded unsafely

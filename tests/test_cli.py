@@ -262,6 +262,9 @@ def test_a_saved_run_is_drawn_again(saved, tmp_path, monkeypatch, capfd):
     assert "argument FILE must hold one grasp and one run of it" in capfd.readouterr().err
     assert main(["replay", "none.npz", "--out", str(tmp_path)]) == 2
     assert "argument FILE must name a file, but there is none" in capfd.readouterr().err
+    (tmp_path / "o.csv").write_text("x,y\n0,0\n")
+    assert main(["replay", str(tmp_path / "o.csv"), "--out", str(tmp_path)]) == 2
+    assert "argument FILE must name a file that `jaxroll.save` wrote, whose name" in capfd.readouterr().err
     # No option gives a command the caller's own functions.
     jxr.save(tmp_path / "law.npz", _own_law)
     assert main(["replay", str(tmp_path / "law.npz"), "--out", str(tmp_path)]) == 2
@@ -365,6 +368,11 @@ WORDS = {
         "argument --which must be below 2, but was 2",
     ),
     "section": ("pinch", "argument origin must put the plane", "argument --section must put the plane"),
+    "a section's place": (
+        "fit",
+        "argument origin must put the plane through the mesh, but it lies from -0.5 to -1.25e-3 m of it",
+        "argument --section must put the plane through the mesh, but it lies from -500 to -1.25 mm of it",
+    ),
     "hand": ("pinch", "argument fingers must reach the object", "argument --hand must reach the object"),
     "store": ("sweep", "argument resume must be a folder", "argument --out must be a folder"),
     "set": ("sweep", "argument beta must be positive", "argument --set beta must be positive"),

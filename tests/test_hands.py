@@ -1,6 +1,7 @@
 """`io.load_hand`: fingers of URDF and MJCF files against MuJoCo's own dynamics of the same files."""
 
 import re
+from functools import partial
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -323,7 +324,8 @@ def test_what_is_fitted_is_the_mesh_of_the_tips_link(tmp_path, monkeypatch, name
 
     def fitted(points, normals=None, **given):
         asked.append((points - np.array([0.0, 0.0, 0.03]), normals, given))
-        return SimpleNamespace(surface=jxr.geometry.Sphere(0.01))
+        report = SimpleNamespace(verdict="the points lie on it", curvature=(100.0, 100.0), smoothing=0.02)
+        return SimpleNamespace(surface=jxr.geometry.Sphere(0.01), report=report)
 
     monkeypatch.setattr(_hand, "fit_surface", fitted)
     path = written(tmp_path, with_shape(f"<mesh filename='{name}'/>"))
@@ -356,6 +358,46 @@ def test_a_tip_that_cannot_be_fitted_is_named(tmp_path, monkeypatch):
     path = written(tmp_path, with_shape("<mesh filename='tip.stl'/>"))
     with pytest.raises(ValueError, match=r"argument smallest_radius must be smaller \(tip 'tip'\)"):
         jxr.io.load_hand(path, "mesh", smallest_radius=0.02)
+
+
+UNTRUSTED = "not to be trusted: it encloses no body and it bends with a radius of 1 mm; give smallest_radius"
+SHARP = (-6000.0, 5000.0)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "curvature", "smoothing", "refused"),
+    [
+        (UNTRUSTED, SHARP, None, True),
+        (UNTRUSTED, SHARP, 0.004, True),
+        (UNTRUSTED, (90.0, 110.0), None, True),
+        # Who asks for a wavelength rounds corners off by it.
+        ("not to be trusted: a point is 1 mm off it; give smallest_radius", (0.0, 300.0), 0.004, False),
+        ("the points lie 5 um rms from it", (90.0, 110.0), None, False),
+    ],
+)
+def test_a_mesh_with_sharp_edges_wants_a_smallest_radius(verdict, curvature, smoothing, refused):
+    report = SimpleNamespace(verdict=verdict, curvature=curvature, smoothing=0.004)
+    check = partial(_hand._check_smooth, SimpleNamespace(name="T"), report, _hand._Wish(smoothing, None))
+    if not refused:
+        check()
+        return
+    words = "argument smallest_radius must be given for .* edges or coarse faces, as that of tip 'T', but was"
+    with pytest.raises(ValueError, match=words):
+        check()
+
+
+@pytest.mark.slow
+def test_a_box_is_no_fingertip_and_a_divided_ball_is(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    path = written(tmp_path, with_shape("<mesh filename='tip.stl'/>"))
+    trimesh.creation.icosphere(2, 0.01).export(tmp_path / "tip.stl")
+    surface = jxr.io.load_hand(path, "mesh").fingers[0].tip
+    assert np.asarray(surface.principal_curvatures(surface.near(np.array([0.0, 0.0, 1.0])))[0]) == (
+        pytest.approx([100.0, 100.0], rel=0.15)
+    )
+    trimesh.creation.box((0.02,) * 3).export(tmp_path / "tip.stl")
+    with pytest.raises(ValueError, match="argument smallest_radius must be given .* tip 'tip'"):
+        jxr.io.load_hand(path, "mesh")
 
 
 @pytest.mark.slow

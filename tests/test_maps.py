@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 import jaxroll as jxr
 from jaxroll import design
@@ -292,6 +293,11 @@ def test_what_went_well_is_pale_and_what_is_not_known_grey():
     found = _map_figure.code_colours(codes)
     assert found[1] == _map_figure.WELL and found[3] == _map_figure.NOTHING
     assert [found[i] for i in (0, 2, 4)] == list(_map_figure.CODE_COLOURS[:3])
+    verdicts = ("asymptotically stable", "neutral", "unstable", "undamped", "not found")
+    well, neutral, unstable, undamped, none = map(to_rgb, _map_figure.code_colours(verdicts))
+    assert to_rgb(_map_figure.WELL) == well and len({well, neutral, unstable, undamped, none}) == 5
+    assert all(red < blue for red, _, blue in (well, neutral, undamped))
+    assert all(red > blue for red, _, blue in (unstable, none))
     many = _map_figure.code_colours(tuple(f"code {i}" for i in range(40)))
     assert len(many) == 40 and _map_figure.WELL not in many
 

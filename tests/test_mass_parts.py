@@ -464,6 +464,9 @@ def test_a_mesh_may_be_given_as_lists_with_whole_numbers_as_floats():
     corners, faces = tetrahedron()
     for given in ((corners, faces), [corners.tolist(), (1.0 * faces).tolist()]):
         assert float(mass_properties(given, 3.0).mass) == pytest.approx(15.0)
+    for several in ([jxr.Sphere(0.01), jxr.Sphere(0.02)], (jxr.Circle(0.01),)):
+        with pytest.raises(ValueError, match="argument shape must be one shape, but was several"):
+            mass_properties(several, 1.0)
     for bad in (types.SimpleNamespace(vertices=corners), types.SimpleNamespace(faces=faces), (corners,)):
         with pytest.raises(ValueError, match="argument shape must be a contour, a surface, or vertices"):
             mass_properties(bad, 1.0)

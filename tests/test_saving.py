@@ -237,6 +237,9 @@ def test_files_that_are_damaged_are_said(tmp_path):
         jxr.load(rewritten(path, odd))
     with pytest.raises(ValueError, match="there is none called"):
         jxr.load(tmp_path / "absent")
+    (tmp_path / "table.csv").write_text("1,2")
+    with pytest.raises(ValueError, match="`jaxroll.save` wrote, whose name ends in .npz, but was '.*csv'"):
+        jxr.load(tmp_path / "table.csv")
 
 
 @pytest.mark.parametrize("name", ["os:system", "jaxroll._saving:importlib.import_module", "nothing:here"])

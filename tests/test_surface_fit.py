@@ -129,6 +129,10 @@ def test_banana():
     [
         (lambda: fit_surface(np.zeros((50, 3))), "argument points must have at least 100"),
         (lambda: fit_surface(np.zeros((500, 2))), "argument points must have shape"),
+        (
+            lambda: fit_surface(np.where(np.arange(600).reshape(200, 3) == 10, np.nan, ellipsoid_cloud(200))),
+            "argument points must be finite, but row 3 was",
+        ),
         (lambda: fit_surface(ellipsoid_cloud(200), np.zeros((9, 3))), "argument normals must have"),
         (lambda: fit_surface(ellipsoid_cloud(200), smoothing=-1.0), "argument smoothing must be positive"),
         (lambda: fit_surface(ellipsoid_cloud(200), smoothing=1e-4), "argument smoothing must be larger"),

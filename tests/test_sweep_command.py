@@ -155,6 +155,16 @@ def test_a_refusal_after_loading_leaves_no_folder(tmp_path, monkeypatch, capfd):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["tip_radius", "friction", "mass"])
+def test_a_value_that_the_scene_refuses_is_none_to_run(name, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAXROLL_CACHE", "off")
+    monkeypatch.setattr(_sweep_command, "sweep", lambda *_, **__: pytest.fail("it was run"))
+    assert main(["sweep", "pinch", "--set", f"{name}=-0.01:0.01:3"]) == 2
+    assert f"argument --set {name} must be positive, but was -0.01" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_name_is_looked_for_in_the_scene():
     """Numbers of the controller without building it anew, and tips whose foremost points stay."""
     rows = jxr.Parameters(damping=[0.004], friction=[0.3], mass=[0.05], tip_radius=[0.006])

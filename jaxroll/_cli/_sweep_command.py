@@ -27,7 +27,7 @@ from .. import plotting, scenes
 from .._integration import flag_words, simulate
 from .._maps import adaptive_map, measures, MEASURES_KEPT
 from .._printing import is_code, shown_value
-from .._results import computed_at_once, missing_library
+from .._results import as_length, computed_at_once, missing_library
 from .._sweep import Parameters, sweep
 from ..geometry import Circle, Sphere
 from ._sweep_order import MapOrder, Range, SweepOrder, unit_of
@@ -45,6 +45,8 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
     """Sweep into `folder`, which is the store where one is asked for, and return the lines of the report."""
     keep = measures(*asked.keep)
     make, parameters = maker(asked.scene, tuple(asked.ranges)), parameters_of(asked)
+    if ":" not in asked.scene:
+        _check_ends(make, parameters)
     options = {"ts": asked.times if keep.timed else 1, "rtol": asked.rtol, "record": keep.record}
     # On a line of its own, for the bar of progress takes the next one.
     over = ", ".join(_with_unit(name) for name in parameters.names)
@@ -75,6 +77,24 @@ def swept(asked: SweepOrder, folder: Path, timed: Timed) -> list[str]:
             names = write_table(folder, SweepTable(parameters, values, asked.scene))
         said = [f"Files in {folder}:", "  " + ", ".join(names)]
     return [f"Sweep of {asked.scene} over {over}", f"{parameters}", pace, *_told(values), *said]
+
+
+def _check_ends(make: Callable[[Parameters], Any], parameters: Parameters) -> None:
+    """Raise for a least or a greatest value that the scene refuses, where it is known and not traced.
+
+    What a scene says of several of them together, or of a start that it cannot reach, is a run's to tell.
+    """
+    for k in sorted({k for name in parameters.names for k in _ends(parameters[name])}):
+        try:
+            make(parameters[k])
+        except ValueError as error:
+            if any(str(error).startswith(f"argument {name} must") for name in parameters.names):
+                raise
+
+
+def _ends(values: np.ndarray) -> tuple[int, ...]:
+    """The rows of a parameter's least and greatest value; of one of several numbers none."""
+    return (int(np.argmin(values)), int(np.argmax(values))) if np.ndim(values) == 1 else ()
 
 
 def _with_unit(name: str) -> str:
@@ -245,10 +265,15 @@ def _tips(build: Callable, grasp: Any) -> Callable[[Any], dict[str, Any]]:
         )
     tip = grasp.fingers[0].tip
     if not hasattr(tip, "tangent_angle") and not hasattr(tip, "curve"):  # in space
-        return lambda radius: {name: Sphere(radius)}
+        return lambda radius: {name: Sphere(as_length(_TIP, radius))}
     # How far the scene's own fingertip reaches in front of O_i, where it faces the object.
     ahead = float(np.dot(np.asarray(tip.point(0.0)), np.asarray(tip.normal(0.0))))
-    return lambda radius: {name: Circle(radius).moved(jnp.stack([ahead - radius, jnp.zeros_like(radius)]))}
+
+    def round_tip(radius: Any) -> dict[str, Any]:
+        radius = as_length(_TIP, radius)
+        return {name: Circle(radius).moved(jnp.stack([ahead - radius, jnp.zeros_like(radius)]))}
+
+    return round_tip
 
 
 def _arguments(name: str) -> tuple[str, ...]:

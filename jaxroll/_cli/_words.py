@@ -70,7 +70,9 @@ _IN_PYTHON = (
     " (closed=False makes an open one)",
     " (ordered=True keeps the order given; `fit_contour` with smallest_radius bears noise)",
 )
-_LENGTH = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[+-]?\d+)?) m\b")
+_NUMBER = r"(-?\d[\d.]*(?:e[+-]?\d+)?)"
+# One length in metres, or the first of two before their unit.
+_LENGTH = re.compile(rf"(?<![\w.]){_NUMBER}(?:(?= to {_NUMBER} m\b)| (m)\b)")
 
 
 def in_options(text: str, command: str, set_names: Iterable[str] = ()) -> str:
@@ -87,10 +89,11 @@ def in_options(text: str, command: str, set_names: Iterable[str] = ()) -> str:
     text = re.sub(r"argument (\w+)", lambda found: _named(found[1], options), text)
     if "smallest_radius" not in options:
         return text
-    # A line about the radius has its lengths in metres; all other lines of a report are in millimetres
-    # already.
+    # A line about the radius or a section has its lengths in metres; all other lines of a report are in
+    # millimetres already.
     lines = text.replace("smallest_radius", "--smallest-radius").split("\n")
-    return "\n".join(_in_millimetres(line) if "--smallest-radius" in line else line for line in lines)
+    in_metres = lambda line: "--smallest-radius" in line or "argument --section" in line  # noqa: E731
+    return "\n".join(_in_millimetres(line) if in_metres(line) else line for line in lines)
 
 
 def _named(name: str, options: Mapping[str, str]) -> str:
@@ -101,4 +104,5 @@ def _named(name: str, options: Mapping[str, str]) -> str:
 
 def _in_millimetres(line: str) -> str:
     """A line whose lengths are in metres, with millimetres in their place."""
-    return _LENGTH.sub(lambda found: f"{1e3 * float(found[1]):.4g} mm", line)
+    unit = lambda found: " mm" if found[3] else ""  # noqa: E731
+    return _LENGTH.sub(lambda found: f"{1e3 * float(found[1]):.4g}{unit(found)}", line)

@@ -21,7 +21,7 @@ from .._mechanics import Finger3
 from .._printing import listed
 from .._results import as_floats, as_positive, check_direction, check_instance, on_host, shown
 from .._types import Given
-from ..geometry import AbstractSurface, Ellipsoid, fit_surface, Sphere
+from ..geometry import AbstractSurface, Ellipsoid, fit_surface, Sphere, SurfaceReport
 from ._mesh import spread_points
 from ._robot_file import read_robot, Robot, RobotJoint, RobotLink
 
@@ -104,7 +104,8 @@ def load_hand(
         smoothing: With 'mesh', the wavelength [m] of wiggles that are halved (see `geometry.fit_surface`).
             Default: as that chooses.
         smallest_radius: With 'mesh', the smallest radius of curvature [m] of the fit: edges of the mesh are
-            rounded off by it and open sides closed. Not with `smoothing`.
+            rounded off by it and open sides closed. Wanted for meshes of flat faces and sharp edges, which
+            are refused without; a finely divided mesh of a smooth tip needs none. Not with `smoothing`.
 
     Returns:
         A `Hand`: its fingers, ranges, torques, damping, friction and springs of their joints, and what else
@@ -114,7 +115,7 @@ def load_hand(
         ValueError: If the file cannot be read; a joint that is not held slides, has more than one axis,
             carries two others, is tied to another or has no range that it could move in; a joint is held out
             of its range; a last link has no inertia; a tip cannot be told; or its mesh is none of a body that
-            has such a radius.
+            has such a radius, or has sharp edges without one.
         ImportError: Without the extra `hands`.
 
     Accuracy: mass matrices, biases and poses agree with MuJoCo's and Pinocchio's to 1e-14 of their size.
@@ -294,11 +295,30 @@ def _fitted(link: RobotLink, corners: np.ndarray, faces: np.ndarray, wish: _Wish
     """
     if wish.smallest_radius is None:
         points, normals = spread_points(corners, faces, _SPREAD)
-        return fit_surface(points, normals, smoothing=wish.smoothing).surface
+        fit = fit_surface(points, normals, smoothing=wish.smoothing)
+        _check_smooth(link, fit.report, wish)
+        return fit.surface
     try:
         return fit_surface(corners, faces=faces, smallest_radius=wish.smallest_radius).surface
     except ValueError as error:
         raise ValueError(f"{error} (tip {shown(link.name)})") from None
+
+
+def _check_smooth(link: RobotLink, report: SurfaceReport, wish: _Wish) -> None:
+    """Raise for the fit to a mesh of flat faces and sharp edges, which no wavelength of its own follows.
+
+    Who chose a wavelength may have rounded off its corners by that: then only bends that are sharper than it
+    count.
+    """
+    told, _, why = report.verdict.partition(": ")
+    sharpest = max(-report.curvature[0], report.curvature[1])
+    bent = sharpest * report.smoothing > 2.0 * np.pi
+    if told == "not to be trusted" and (wish.smoothing is None or bent):
+        raise ValueError(
+            f"argument smallest_radius must be given for a mesh with sharp edges or coarse faces, as that of "
+            f"tip {shown(link.name)}, but was None: the surface fitted to it is not to be trusted, as "
+            f"{why.partition(';')[0]}"
+        )
 
 
 def _finger(

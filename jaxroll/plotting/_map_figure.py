@@ -14,13 +14,17 @@ from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, N
 from .._sweep import Parameters
 from ._doors import guarded
 from ._map_data import map_data, MapData, Side
-from ._style import CYCLE, MANY, Picture, tidy
+from ._style import MANY, Picture, tidy
 
-# Colours: of codes that say that all is well, of what was not worked out, and of other codes in their order.
+# Colours: of codes that say that all is well, of what was not worked out, and of other codes in their order,
+# the warm ones first.
 WELL, NOTHING = "#DCEBF5", "#C8CCD0"
-CODE_COLOURS = (*CYCLE[1:], CYCLE[0], *MANY[len(CYCLE) :])
+_WARM = ("#D55E00", "#CC79A7", "#E69F00", "#882255", "#999933", "#AA4499")
+CODE_COLOURS = (*_WARM, *(each for each in MANY if each not in _WARM))
 SCALE = "viridis"
 _GOOD = ("successful", "stable", "asymptotically stable", "true")
+# Verdicts of what holds although not every disturbance dies out: blues.
+_HOLDS = {"neutral": "#56B4E9", "undamped": "#0072B2"}
 # The code of runs that a store does not hold yet.
 _MISSING = "not stored"
 # Samples are dots of the area `_DOT` [pt^2], or of a quarter of it where there are more than `_MANY`.
@@ -43,7 +47,8 @@ def parameter_map(
 ) -> Figure:
     """Draw a code or a value over two parameters: cells of a grid, or dots where samples are.
 
-    An axis whose steps are even in the logarithm is drawn so. Cells without a number are grey.
+    An axis whose steps are even in the logarithm is drawn so. Cells without a number are grey. Of codes what
+    holds is blue, the paler the better, and what fails has warm colours first.
 
     Args:
         parameters: Of the runs.
@@ -81,8 +86,11 @@ def parameter_map(
 
 
 def code_colours(codes: tuple[str, ...]) -> list[str]:
-    """A colour for each code: pale where all is well, grey where nothing is known yet."""
-    plain = dict.fromkeys(_GOOD, WELL) | {_MISSING: NOTHING}
+    """A colour for each code: pale where all is well, blue where it holds, grey where nothing is known yet.
+
+    Others are of what fails, in warm colours as long as there are such.
+    """
+    plain = dict.fromkeys(_GOOD, WELL) | _HOLDS | {_MISSING: NOTHING}
     rest = iter(CODE_COLOURS * (1 + len(codes) // len(CODE_COLOURS)))
     return [plain.get(code) or next(rest) for code in codes]
 

@@ -19,7 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..._results import as_faces, as_floats, as_length, check_direction, check_length, on_host, shown
+from ..._results import (
+    as_array,
+    as_faces,
+    as_floats,
+    as_length,
+    check_direction,
+    check_length,
+    on_host,
+    shown,
+)
 from ..._types import Given
 from ..contours import check_extent
 from ..surfaces import SplineSurface, surface_values
@@ -312,6 +321,10 @@ def _directions(normals: Given, cloud: np.ndarray, triangles: np.ndarray | None)
 
 def _cloud(name: str, value: Given, least: int = 100) -> np.ndarray:
     """An argument as numbers of shape (n, 3), so many rows at least."""
+    seen = np.asarray(as_array(name, value))
+    if seen.ndim == 2 and seen.shape[1] == 3 and not np.isfinite(seen).all():
+        row = int(np.argmin(np.isfinite(seen).all(axis=1)))
+        raise ValueError(f"argument {name} must be finite, but row {row} was {seen[row].tolist()}")
     seen = np.asarray(as_floats(name, value, (None, 3)))
     if len(seen) < least:
         raise ValueError(f"argument {name} must have at least {least} rows, but had {len(seen)}")

@@ -144,8 +144,13 @@ class SurfaceFit:
         True where the nearest point is within the report's `reach`, and the median distance of the five
         nearest points from the surface within the report's `tolerance`.
 
+        Places are in the frame of the points that were fitted. A body has its own, with the origin in its
+        centre of mass: `FreeObject3.uniform(fit.surface, density)` moves the surface there, and the places
+        that `grasp_points` finds on it want
+        `mass_properties(fit.surface, density).centre` added before they are asked about.
+
         Args:
-            places: Shape (n, 3), on the surface [m].
+            places: Shape (n, 3), on the surface, in the frame of the points [m].
 
         Returns:
             Shape (n,).

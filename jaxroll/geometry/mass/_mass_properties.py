@@ -99,6 +99,9 @@ def _moments_of(shape: Any) -> Moments:
         check_once_round("shape", shape)
         return contour_moments(shape) if isinstance(shape, AbstractContour) else surface_moments(shape)
     pair = shape if isinstance(shape, tuple | list) else _fields(shape)
+    shapes = [x for x in pair or () if isinstance(x, AbstractContour | AbstractSurface)]
+    if shapes:
+        raise ValueError(f"argument shape must be one shape, but was several: {shown(shape)}")
     if pair is None or len(pair) != 2:
         raise ValueError(
             f"argument shape must be a contour, a surface, or vertices and faces, but was {shown(shape)}"

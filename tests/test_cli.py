@@ -370,8 +370,8 @@ WORDS = {
     "section": ("pinch", "argument origin must put the plane", "argument --section must put the plane"),
     "a section's place": (
         "fit",
-        "argument origin must put the plane through the mesh, but it lies from -0.5 to -1.25e-3 m of it",
-        "argument --section must put the plane through the mesh, but it lies from -500 to -1.25 mm of it",
+        "argument origin must put the plane through the mesh, but it lies from -0.50001 to -1.25e-3 m of it",
+        "argument --section must put the plane through the mesh, but it lies from -500.01 to -1.25 mm of it",
     ),
     "hand": ("pinch", "argument fingers must reach the object", "argument --hand must reach the object"),
     "store": ("sweep", "argument resume must be a folder", "argument --out must be a folder"),

@@ -105,4 +105,4 @@ def _named(name: str, options: Mapping[str, str]) -> str:
 def _in_millimetres(line: str) -> str:
     """A line whose lengths are in metres, with millimetres in their place."""
     unit = lambda found: " mm" if found[3] else ""  # noqa: E731
-    return _LENGTH.sub(lambda found: f"{1e3 * float(found[1]):.4g}{unit(found)}", line)
+    return _LENGTH.sub(lambda found: f"{1e3 * float(found[1]):.6g}{unit(found)}", line)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .._results import as_array, as_faces, as_floats, on_host, shown
+from .._results import as_array, as_faces, as_floats, on_host, shown, told_apart
 from ..geometry import polygon_area
 from ._outline import as_points
 
@@ -56,9 +56,10 @@ def section(vertices: Any, faces: Any, *, origin: Any, normal: Any) -> tuple[np.
     heights = arms @ normal
     nodes, links = _cuts(faces, heights >= 0.0)
     if not len(links):
+        low, high = told_apart(heights.min(), heights.max(), least=4)
         raise ValueError(
             "argument origin must put the plane through the mesh, but along the normal the mesh lies from "
-            f"{heights.min():.4g} to {heights.max():.4g} m of it"
+            f"{low} to {high} m of it"
         )
     # Where the height along an edge is zero, by linear interpolation: its ends have opposite signs.
     low, high = heights[nodes].T

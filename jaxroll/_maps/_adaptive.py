@@ -102,6 +102,7 @@ def adaptive_map(
     Returns:
         An `AdaptiveMap`. At points that were not run, a code is the one that all corners of the cell have,
         and a value is interpolated between the corners, linearly in the indices of the grid.
+        `plotting.parameter_map(found.parameters, found.values)` draws one code or value of it.
 
     Raises:
         ValueError: If an argument does not fit, or the outcome has neither a code nor a value with a

@@ -45,7 +45,11 @@ def both_ways(function):
         (slopes,) = jax.linear_transpose(push, x)(bar)
         return value, push(direction), slopes
 
-    return lambda *given: found(*jax.tree.map(lambda x: np.asarray(x, float), given))
+    def floating(x):
+        # What JAX traces, as under `vmap`, NumPy cannot take; of the rest it makes no program for each shape.
+        return jnp.asarray(x, float) if isinstance(x, jax.Array) else np.asarray(x, float)
+
+    return lambda *given: found(*jax.tree.map(floating, given))
 
 
 def gradients_with_and_without_an_end(observed, grasp, state):

@@ -238,7 +238,7 @@ def test_files_that_are_damaged_are_said(tmp_path):
     with pytest.raises(ValueError, match="there is none called"):
         jxr.load(tmp_path / "absent")
     (tmp_path / "table.csv").write_text("1,2")
-    with pytest.raises(ValueError, match="`jaxroll.save` wrote, whose name ends in .npz, but was '.*csv'"):
+    with pytest.raises(ValueError, match="`jaxroll.save` wrote, whose name ends in .npz, but was "):
         jxr.load(tmp_path / "table.csv")
 
 

@@ -193,7 +193,7 @@ class Folder:
         if found:
             raise ValueError(
                 f"argument {self.name} must be a folder of the same sweep, but {self.given} is of one that "
-                f"differs in {found}; give another folder as argument {self.name}"
+                f"differs in {found}: give another"
             )
 
     def _warn_of_loss(self) -> None:

@@ -136,6 +136,16 @@ def uncached() -> dict[str, str]:
     return {key: value for key, value in os.environ.items() if not key.startswith(left_out)}
 
 
+def clocked(
+    call: Sequence[str], env: dict[str, str], *, folder: str | None = None
+) -> tuple[subprocess.CompletedProcess[str], list[float]]:
+    """A process that has ended, and its seconds of wall and processor; time in the system is included."""
+    used, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(call, cwd=folder, env=env, capture_output=True, text=True, check=False)
+    wall, now = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return done, [wall, now.ru_utime - used.ru_utime + now.ru_stime - used.ru_stime]
+
+
 def fresh(module: str, *words: str, cache: str | None = None) -> Any:
     """What a module prints as JSON when it runs in a new process; compiled programs are kept in `cache`."""
     call = [sys.executable, "-m", module, *words]

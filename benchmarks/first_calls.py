@@ -8,14 +8,12 @@ the same on all machines: a loop of ten million additions in Python says how fas
 """
 
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 import time
 from typing import Any, NamedTuple
 
-from benchmarks._common import command, device, fresh, table, uncached, versions
+from benchmarks._common import clocked, command, device, fresh, table, uncached, versions
 
 WAYS = {
     "call": "`simulate`",
@@ -134,13 +132,11 @@ def command_rows() -> list[list[str]]:
     rows = []
     for words, asked in COMMANDS.items():
         with tempfile.TemporaryDirectory() as folder:
-            used, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
             call = [sys.executable, "-m", "jaxroll", *words.split()]
             env = uncached() | {"JAXROLL_CACHE": "off", "PYTHONPATH": os.getcwd()}
-            subprocess.run(call, cwd=folder, env=env, capture_output=True, check=True)
-            wall, now = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent = now.ru_utime - used.ru_utime + now.ru_stime - used.ru_stime
-        rows.append([f"`jaxroll {words}`", both([wall, spent]), judged(spent, asked)])
+            done, spent = clocked(call, env, folder=folder)
+        done.check_returncode()
+        rows.append([f"`jaxroll {words}`", both(spent), judged(spent[1], asked)])
     return rows
 
 

@@ -8,14 +8,11 @@ import json
 import os
 import pathlib
 import re
-import resource
-import subprocess
 import sys
 import tempfile
-import time
 from typing import Any
 
-from benchmarks._common import command, device, table, uncached, versions
+from benchmarks._common import clocked, command, device, table, uncached, versions
 from benchmarks.first_calls import judged, yardstick
 
 # What is asked of the default tests [s], on as many cores as they have processes.
@@ -28,12 +25,9 @@ def measure(*words: str) -> dict[str, Any]:
         cache = str(pathlib.Path(folder, "cache"))
         env = uncached() | {"JAXROLL_TEST_CACHE": cache, "JAXROLL_COMPILATIONS": folder}
         call = [sys.executable, "-m", "pytest", "-q", "-p", "benchmarks._compilations", *words]
-        used, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        done = subprocess.run(call, env=env | {"PYTHONPATH": os.getcwd()}, capture_output=True, text=True)
-        wall, now = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        done, (wall, spent) = clocked(call, env | {"PYTHONPATH": os.getcwd()})
         each = [json.loads(path.read_text()) for path in pathlib.Path(folder).glob("*.json")]
     phases = {name: [sum(found[name][i] for found in each) for i in (0, 1)] for name in each[0]}
-    spent = now.ru_utime - used.ru_utime + now.ru_stime - used.ru_stime
     return {"wall": wall, "processor": spent, "said": summary(done.stdout), "phases": phases}
 
 

@@ -20,6 +20,7 @@ from ._free_numbers import divided as divided
 from ._frenet import frenet as frenet, Frenet2 as Frenet2
 from ._given_points import (
     check_extent as check_extent,
+    check_finite_rows as check_finite_rows,
     numbers as numbers,
     polygon_area as polygon_area,
     polygon_length as polygon_length,

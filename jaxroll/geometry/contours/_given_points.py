@@ -26,12 +26,17 @@ def numbers(name: str, value: Any, width: int) -> np.ndarray:
     array = np.asarray(value, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != width:
         raise ValueError(f"argument {name} must have shape (any, {width}), but had shape {array.shape}")
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
-    if len(bad):
-        raise ValueError(f"argument {name} must be finite, but row {bad[0]} was {array[bad[0]].tolist()}")
+    check_finite_rows(name, array)
     if len(array) > 1 and np.all(array == array[0]):
         raise ValueError(f"argument {name} must not be one point again and again, but was {shown(array[0])}")
     return array
+
+
+def check_finite_rows(name: str, array: np.ndarray) -> None:
+    """Raise with the first row that is not finite."""
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(bad):
+        raise ValueError(f"argument {name} must be finite, but row {bad[0]} was {array[bad[0]].tolist()}")
 
 
 def check_extent(name: str, points: np.ndarray) -> None:

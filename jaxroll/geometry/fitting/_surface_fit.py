@@ -30,7 +30,7 @@ from ..._results import (
     shown,
 )
 from ..._types import Given
-from ..contours import check_extent
+from ..contours import check_extent, check_finite_rows
 from ..surfaces import SplineSurface, surface_values
 from ._field_fit import AXES, DataRows, Grid, grid_around, normal_band, offsets, roughness_band, rows
 from ._scan import normals_of_net, thinned_scan
@@ -322,9 +322,8 @@ def _directions(normals: Given, cloud: np.ndarray, triangles: np.ndarray | None)
 def _cloud(name: str, value: Given, least: int = 100) -> np.ndarray:
     """An argument as numbers of shape (n, 3), so many rows at least."""
     seen = np.asarray(as_array(name, value))
-    if seen.ndim == 2 and seen.shape[1] == 3 and not np.isfinite(seen).all():
-        row = int(np.argmin(np.isfinite(seen).all(axis=1)))
-        raise ValueError(f"argument {name} must be finite, but row {row} was {seen[row].tolist()}")
+    if seen.ndim == 2 and seen.shape[1] == 3:
+        check_finite_rows(name, seen)
     seen = np.asarray(as_floats(name, value, (None, 3)))
     if len(seen) < least:
         raise ValueError(f"argument {name} must have at least {least} rows, but had {len(seen)}")

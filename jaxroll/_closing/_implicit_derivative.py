@@ -16,7 +16,6 @@ minimise, and the matrix is their Jacobian. The iterations of the search are not
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve
@@ -25,7 +24,7 @@ from jaxtyping import Array
 from .._linalg import factorise
 from .._mechanics import Grasp, join, State, to_leaves
 from .._motion import bodies, compatible, linearise, touches
-from .._xla import linear_map, one_kernel, perturbed, shared, sharing, traced_once
+from .._xla import differentiable_once, linear_map, one_kernel, perturbed, shared, sharing, traced_once
 from ._search import added, after_step, ClosingProblem, constraint_rows, metric_at, searched, solve_schur
 
 
@@ -62,7 +61,7 @@ def _settled_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     (*shapes, hold, resting, held) = primals
     moving, still, dots = perturbed(tuple(shapes), tuple(tangents[:2]))
     # Second derivatives would need derivatives of the matrix L_zz as well: refuse instead of being wrong.
-    moving, still = eqxi.nondifferentiable((moving, still), name="a closed state (second derivatives)")
+    moving, still = differentiable_once((moving, still), "a closed state")
     grasp, guess = eqx.combine(moving, still)
     out, minimum = _found(grasp, guess, hold, resting=resting, held=held)
     response = _response(_Question(still, hold, resting, held), moving, minimum)

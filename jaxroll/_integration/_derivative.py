@@ -38,6 +38,7 @@ from .._mechanics import Grasp
 from .._results import RESULTS
 from .._types import Scalar
 from .._xla import (
+    differentiable_once,
     in_turn,
     linear_map,
     one_kernel,
@@ -119,8 +120,7 @@ def _march_jvp(primals: Any, tangents: Any) -> tuple[Path, Path]:
     # of them the program of the pinch's gradient in one gain had 12 762 lines instead of 11 779.
     moving, still, moving_dot = bundled_apart(grasp, *perturbed(grasp, grasp_dot)[::2])
     # Before the run: its loop has no derivative in reverse mode, and JAX's own words do not say why.
-    given = eqxi.nondifferentiable((moving, still, y0, plan), name="the state of a run (second derivatives)")
-    moving, still, y0, plan = given
+    moving, still, y0, plan = differentiable_once((moving, still, y0, plan), "a run")
     # With tangents asked for, the run is made once, recording; without, `march` itself runs.
     path, record = _recorded(eqx.combine(moving, still), y0, plan)
     steps = _Steps(moving, still, plan, y0, record, _led(path, record))
@@ -436,7 +436,7 @@ def moving_in_time(width: int, ys: Float[Array, "... flow"], ts: Float[Array, ".
 def _moving_in_time(width: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     dot, ts_dot = tangents
     # The slope that comes next is not among the numbers of a run: its place would be taken by zero.
-    ys, _ = eqxi.nondifferentiable(primals, name="a run in its times (second derivatives)")
+    ys, _ = differentiable_once(primals, "a run at the times given")
     rates = ys[..., width : 2 * width]
     # Rows that a run did not reach are not finite, and do not move.
     moved = jnp.where(jnp.isfinite(rates), rates, 0.0) * ts_dot[..., None]

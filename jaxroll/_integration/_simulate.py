@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,7 +41,7 @@ from .._motion import (
 )
 from .._results import check_flag, concrete, RESULTS, traced
 from .._types import Given, Scalar
-from .._xla import in_turn, once, remembered, sharing, SOON, takes_options, uncollected
+from .._xla import in_turn, once, remembered, sharing, SOON, takes_options, uncollected, without_derivative
 from ..geometry import as_it_is_resolved
 from ..loads import impulses
 from ._arguments import (
@@ -257,8 +256,8 @@ def _run(
     plan = _plan(stepper, y0, given._replace(t0=begin, t1=end, ts=saves), setup, jumps=jumps)
     # `march` does not differentiate the plan. A derivative in a gain or in the start would be zero without a
     # word: refuse it instead.
-    name = "the start's time, tolerances and gains of the formulation"
-    plan = eqxi.nondifferentiable(plan, name=name)
+    told = "a run has no derivatives in the start's time, tolerances and gains of the formulation"
+    plan = without_derivative(plan, told)
     path = march(ready, y0, plan)
     if wanted is not None:
         before = path.saved[wanted[1]]

@@ -15,7 +15,6 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,6 +38,7 @@ from .._motion import (
 from .._printing import listed
 from .._results import check_instance, computed_at_once, shown, traced
 from .._types import Scalar
+from .._xla import without_derivative
 from ..commands import Declared, Steps
 from ..loads import impulses
 from ._arguments import check_choices, SWEEPS, unclosed
@@ -245,8 +245,8 @@ def _held_jumps(grasp: Grasp) -> Grasp:
         if not jumping(part):
             return part
         times = (lambda p: p.times) if isinstance(part, Steps) else (lambda p: p.jumps)
-        name = "the time of a jump, which `simulate` alone differentiates in,"
-        return eqx.tree_at(times, part, eqxi.nondifferentiable(times(part), name=name))
+        told = "a vector field has no derivatives in the times of jumps: `simulate` has them"
+        return eqx.tree_at(times, part, without_derivative(times(part), told))
 
     jumping = lambda part: isinstance(part, Steps | Declared)  # noqa: E731
     return jax.tree.map(held, grasp, is_leaf=jumping)

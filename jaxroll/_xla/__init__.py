@@ -5,6 +5,7 @@ from ._collector import uncollected as uncollected
 from ._compute_once import as_it_is as as_it_is, once as once, sharing as sharing
 from ._loops import counted as counted, repeated as repeated
 from ._one_kernel import (
+    differentiable_once as differentiable_once,
     in_both_modes as in_both_modes,
     in_turn as in_turn,
     one_kernel as one_kernel,
@@ -13,6 +14,7 @@ from ._one_kernel import (
     VECTOR as VECTOR,
     WIDE as WIDE,
     with_lanes as with_lanes,
+    without_derivative as without_derivative,
 )
 from ._primitives import linear_map as linear_map
 from ._quick import (

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.extend.core as jec
 import jax.numpy as jnp
@@ -114,6 +115,17 @@ def perturbed(values: Any, tangents: Any) -> tuple[Any, Any, Any]:
     moving = jax.tree.map(moves, values, tangents)
     still = jax.tree.map(lambda x, moves: x if moves is None else None, values, moving)
     return moving, still, jax.tree.map(lambda _, dot: dot, moving, tangents)
+
+
+def without_derivative(values: Any, told: str) -> Any:
+    """The values as they are; a derivative that is asked in them is refused with `told`, not zero."""
+    return eqxi.nondifferentiable(values, msg=told)
+
+
+def differentiable_once(values: Any, result: str) -> Any:
+    """The values, in a rule for a derivative of `result`: another one of that is refused in a sentence."""
+    told = f"{result} has first derivatives only: for second ones take differences of its gradient"
+    return without_derivative(values, told)
 
 
 def in_turn(function: Callable, shared: Any, *rows: Any) -> Any:

@@ -158,7 +158,9 @@ def _compiled(context: mlir.LoweringRuleContext, *args: Any, **params: Any) -> A
 def _tangents(primals: Sequence[Any], dots: Sequence[Any], **params: Any) -> tuple[Any, Any]:
     fixed = params["fixed"]
     if not all(type(dot) is ad.Zero for dot in dots[:fixed]):
-        raise NotImplementedError("what is differentiable once has no second derivatives")
+        raise NotImplementedError(
+            "this result has first derivatives only: for second ones take differences of its gradient"
+        )
     filled = map(ad.instantiate_zeros, dots[fixed:])
     return _MAP.bind(*primals, **params), _MAP.bind(*primals[:fixed], *filled, **params)
 

@@ -146,6 +146,14 @@ def clocked(
     return done, [wall, now.ru_utime - used.ru_utime + now.ru_stime - used.ru_stime]
 
 
+def yardstick() -> float:
+    """Processor seconds of a loop of ten million additions."""
+    start, total = time.process_time(), 0
+    for i in range(10_000_000):
+        total += i
+    return time.process_time() - start
+
+
 def fresh(module: str, *words: str, cache: str | None = None) -> Any:
     """What a module prints as JSON when it runs in a new process; compiled programs are kept in `cache`."""
     call = [sys.executable, "-m", module, *words]
@@ -205,6 +213,11 @@ def _limits(asked: str, measured: str) -> list[tuple[str, str, bool]]:
         good = x <= bounds[0] if limit.startswith("<=") else abs(x - bounds[0]) <= bounds[1]
         found.append((limit, value.strip(), good))
     return found
+
+
+def judged(value: float, asked: float | None) -> str:
+    """What was asked, and whether it was missed."""
+    return "" if asked is None else f"{'**missed** ' * (value > asked)}{asked:g}"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -10,10 +10,9 @@ the same on all machines: a loop of ten million additions in Python says how fas
 import os
 import sys
 import tempfile
-import time
 from typing import Any, NamedTuple
 
-from benchmarks._common import clocked, command, device, fresh, table, uncached, versions
+from benchmarks._common import clocked, command, device, fresh, judged, table, uncached, versions, yardstick
 
 WAYS = {
     "call": "`simulate`",
@@ -81,11 +80,6 @@ def measure(quick: bool) -> list[Call]:
     return found
 
 
-def judged(value: float, asked: float | None) -> str:
-    """What was asked, and whether it was missed."""
-    return "" if asked is None else f"{'**missed** ' * (value > asked)}{asked:g}"
-
-
 def both(seconds: list[float]) -> str:
     return "" if seconds == [0, 0] else f"{seconds[0]:.2f} / {seconds[1]:.2f}"
 
@@ -138,14 +132,6 @@ def command_rows() -> list[list[str]]:
         done.check_returncode()
         rows.append([f"`jaxroll {words}`", both(spent), judged(spent[1], asked)])
     return rows
-
-
-def yardstick() -> float:
-    """Processor seconds of a loop of ten million additions."""
-    start, total = time.process_time(), 0
-    for i in range(10_000_000):
-        total += i
-    return time.process_time() - start
 
 
 def conclusion(found: list[Call], others: list[list[str]]) -> str:

@@ -12,8 +12,7 @@ import sys
 import tempfile
 from typing import Any
 
-from benchmarks._common import clocked, command, device, table, uncached, versions
-from benchmarks.first_calls import judged, yardstick
+from benchmarks._common import clocked, command, device, judged, table, uncached, versions, yardstick
 
 # What is asked of the default tests [s], on as many cores as they have processes.
 ASKED, PROCESSES = 420.0, 2

@@ -324,8 +324,7 @@ def _fit(options: argparse.Namespace, folder: Path) -> int:
         from . import __version__
         from ._cli import fitted
     lines = fitted(_shape(options), folder, _cli.timed)
-    report = _cli.in_options("\n".join(lines), "fit")
-    print(f"jaxroll {__version__}, fit: {options.file}\n{report}")
+    print("\n".join([f"jaxroll {__version__}, fit: {options.file}", *lines]))
     return 0
 
 

@@ -324,7 +324,7 @@ def test_what_is_fitted_is_the_mesh_of_the_tips_link(tmp_path, monkeypatch, name
 
     def fitted(points, normals=None, **given):
         asked.append((points - np.array([0.0, 0.0, 0.03]), normals, given))
-        report = SimpleNamespace(verdict="the points lie on it", curvature=(100.0, 100.0), smoothing=0.02)
+        report = SimpleNamespace(doubts=(), curvature=(100.0, 100.0), smoothing=0.02)
         return SimpleNamespace(surface=jxr.geometry.Sphere(0.01), report=report)
 
     monkeypatch.setattr(_hand, "fit_surface", fitted)
@@ -360,28 +360,28 @@ def test_a_tip_that_cannot_be_fitted_is_named(tmp_path, monkeypatch):
         jxr.io.load_hand(path, "mesh", smallest_radius=0.02)
 
 
-UNTRUSTED = "not to be trusted: it encloses no body and it bends with a radius of 1 mm; give smallest_radius"
+UNTRUSTED = ("it encloses no body", "it bends with a radius of 1 mm")
 SHARP = (-6000.0, 5000.0)
 
 
 @pytest.mark.parametrize(
-    ("verdict", "curvature", "smoothing", "refused"),
+    ("doubts", "curvature", "smoothing", "refused"),
     [
         (UNTRUSTED, SHARP, None, True),
         (UNTRUSTED, SHARP, 0.004, True),
         (UNTRUSTED, (90.0, 110.0), None, True),
         # Who asks for a wavelength rounds corners off by it.
-        ("not to be trusted: a point is 1 mm off it; give smallest_radius", (0.0, 300.0), 0.004, False),
-        ("the points lie 5 um rms from it", (90.0, 110.0), None, False),
+        (("a point is 1 mm off it",), (0.0, 300.0), 0.004, False),
+        ((), (90.0, 110.0), None, False),
     ],
 )
-def test_a_mesh_with_sharp_edges_wants_a_smallest_radius(verdict, curvature, smoothing, refused):
-    report = SimpleNamespace(verdict=verdict, curvature=curvature, smoothing=0.004)
+def test_a_mesh_with_sharp_edges_wants_a_smallest_radius(doubts, curvature, smoothing, refused):
+    report = SimpleNamespace(doubts=doubts, curvature=curvature, smoothing=0.004)
     check = partial(_hand._check_smooth, SimpleNamespace(name="T"), report, _hand._Wish(smoothing, None))
     if not refused:
         check()
         return
-    words = "argument smallest_radius must be given for .* edges or coarse faces, as that of tip 'T', but was"
+    words = "coarse faces, as that of tip 'T', but was None: .* trusted, as it encloses no body and it bends"
     with pytest.raises(ValueError, match=words):
         check()
 

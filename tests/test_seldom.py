@@ -252,20 +252,24 @@ def test_motions_that_do_not_fit_their_grasp():
 
 def test_the_verdict_on_a_fitted_surface_names_what_speaks_against_it():
     """A bend sharper than waves of the smoothing have, or a point far off; a fit with neither is praised."""
-    good = _surface_fit._verdict((-50.0, 200.0), 0.02, 1e-5, 5e-5)
+
+    def verdict(curvature, largest, turned=0.0):
+        doubts = _surface_fit._doubts(curvature, 0.02, 1e-5, largest, turned=turned)
+        return _surface_fit._verdict(1e-5, doubts, misled=turned > 1.0)
+
+    good = verdict((-50.0, 200.0), 5e-5)
     assert good == "the points lie 10 um rms from it, and it bends no more than its smoothing"
-    sharp = _surface_fit._verdict((-400.0, 200.0), 0.02, 1e-5, 5e-5)
+    sharp = verdict((-400.0, 200.0), 5e-5)
     assert sharp == "not to be trusted: it bends with a radius of 2.5 mm; give smallest_radius"
-    far = _surface_fit._verdict((-50.0, 200.0), 0.02, 1e-5, 2e-3)
+    far = verdict((-50.0, 200.0), 2e-3)
     assert far == "not to be trusted: a point is 2 mm off it; give smallest_radius"
-    both = _surface_fit._verdict((-50.0, 400.0), 0.02, 1e-5, 2e-3)
+    both = verdict((-50.0, 400.0), 2e-3)
     assert both.endswith("radius of 2.5 mm and a point is 2 mm off it; give smallest_radius")
     for degrees, told in (
         (57.0, good),
         (58.0, "not to be trusted: its normals are 58 degrees rms off those"),
     ):
-        found = _surface_fit._verdict((-50.0, 200.0), 0.02, 1e-5, 5e-5, turned=np.radians(degrees))
-        assert found.startswith(told)
+        assert verdict((-50.0, 200.0), 5e-5, turned=np.radians(degrees)).startswith(told)
 
 
 def test_arrays_are_told_by_what_they_hold():

@@ -8,12 +8,13 @@ from .. import io, plotting
 from .._saving import save
 from ..geometry import Fit
 from ._shape_file import read, ShapeOrder, size_told, smooth_shape, warn
+from ._words import in_options
 
 _OUTLINES = ("contour.csv", "contour.svg", "contour.dxf")
 
 
 def fitted(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractContextManager]) -> list[str]:
-    """Fit, draw and write; returns the lines of the report.
+    """Fit, draw and write; returns the lines of the report, which is written too.
 
     Args:
         asked: Which shape to make of which file.
@@ -38,4 +39,6 @@ def fitted(asked: ShapeOrder, folder: Path, timed: Callable[[str], AbstractConte
                 missing.append(f"  no {name}: {error}")
     else:
         names.append(save(folder / "surface.npz", found.surface).name)
-    return [*size, f"{found.report}", f"Files in {folder}:", "  " + ", ".join(names), *missing]
+    report = in_options("\n".join([*size, f"{found.report}"]), "fit")
+    (folder / "report.txt").write_text(f"{report}\n", encoding="utf-8")
+    return [report, f"Files in {folder}:", "  " + ", ".join([*names, "report.txt"]), *missing]

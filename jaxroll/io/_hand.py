@@ -310,14 +310,13 @@ def _check_smooth(link: RobotLink, report: SurfaceReport, wish: _Wish) -> None:
     Who chose a wavelength may have rounded off its corners by that: then only bends that are sharper than it
     count.
     """
-    told, _, why = report.verdict.partition(": ")
     sharpest = max(-report.curvature[0], report.curvature[1])
     bent = sharpest * report.smoothing > 2.0 * np.pi
-    if told == "not to be trusted" and (wish.smoothing is None or bent):
+    if report.doubts and (wish.smoothing is None or bent):
         raise ValueError(
             f"argument smallest_radius must be given for a mesh with sharp edges or coarse faces, as that of "
             f"tip {shown(link.name)}, but was None: the surface fitted to it is not to be trusted, as "
-            f"{why.partition(';')[0]}"
+            f"{' and '.join(report.doubts)}"
         )
 
 

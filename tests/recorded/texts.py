@@ -242,7 +242,9 @@ def fitted_file(*options: str) -> dict[str, Any]:
         np.savetxt(file := Path(folder) / "egg.csv", _EGG, delimiter=",")
         code = command_line.main(["fit", str(file), "--out", folder, *options])
         written = sorted(path.name for path in Path(folder).iterdir())
-    return {"code": code, "asked": asked.calls, "written": written, **_said(out, folder, "out")}
+        report = (Path(folder) / "report.txt").read_text()
+    said = _said(out, folder, "out")
+    return {"code": code, "asked": asked.calls, "written": written, "report": report, **said}
 
 
 def pinched_file(*options: str, ended: str | None = None) -> dict[str, Any]:

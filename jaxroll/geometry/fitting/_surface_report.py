@@ -49,6 +49,8 @@ class SurfaceReport:
             all over the surface.
         smoothness: Continuous derivatives of the surface.
         verdict: In a sentence, whether the surface can be trusted, and where not.
+        doubts: What speaks against the surface, in clauses; empty of one to be trusted. With
+            `smallest_radius` such a surface is refused instead.
         smallest_radius: The radius of curvature that was asked for [m]; None if none was.
         rejected: Number of points left out, because they lay apart from all others.
         kept: Root mean square and largest distance [m] from the surface of those points that balls of the
@@ -75,6 +77,7 @@ class SurfaceReport:
     curvature: tuple[float, float]
     smoothness: float
     verdict: str = ""
+    doubts: tuple[str, ...] = ()
     smallest_radius: float | None = None
     rejected: int = 0
     kept: tuple[float, float] | None = None

@@ -16,6 +16,7 @@ from ._tubes import camera, lit
 
 # Directions from which the surface is seen: elevation and azimuth, in degrees.
 _VIEWS = ((22.0, -60.0), (22.0, 120.0))
+_LONG = 1.8  # times as broad as high
 _ZOOM = 0.8  # leaves room for the labels
 _BINS = 60
 _SEEN = 99.5  # per cent of the numbers that a histogram shows
@@ -27,10 +28,11 @@ _WHITE = (1.0, 1.0, 1.0, 0.0)
 
 def surface_figure(fit: SurfaceFit) -> Figure:
     """The surface [mm] from two sides, and histograms of distances [um] and principal curvatures [1/m]."""
-    figure = Picture(11.0, 4.6)
-    grid = figure.add_gridspec(2, 3, width_ratios=(1.0, 1.0, 0.95))
     drawn = mesh(fit.surface)
     corners = MM * drawn.vertices[drawn.faces]
+    # Of a long body, which leaves a square place half empty, the picture is lower.
+    figure = Picture(11.0, 3.8 if _breadth(corners) > _LONG else 4.6)
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.0, 1.0, 0.95))
     for k, view in enumerate(_VIEWS):
         _seen(figure.add_subplot(grid[:, k], projection="3d", computed_zorder=False), corners, view)
     # `measured` is a program that the fit has compiled already.
@@ -50,6 +52,16 @@ def surface_figure(fit: SurfaceFit) -> Figure:
     title = f"{low:.4g} to {high:.4g} 1/m"
     tidy(figure.axes[3], xlabel="principal curvatures [1/m]", ylabel="points", title=title)
     return figure
+
+
+def _breadth(corners: np.ndarray) -> float:
+    """How many times as broad as high a body is as it is seen: the mean of the views."""
+    found = []
+    for view in _VIEWS:
+        towards, _ = camera(*view)
+        across = np.cross([0.0, 0.0, 1.0], towards) / np.hypot(towards[0], towards[1])
+        found.append(np.ptp(corners @ across) / np.ptp(corners @ np.cross(towards, across)))
+    return float(np.mean(found))
 
 
 def _seen(ax: Any, corners: np.ndarray, view: tuple[float, float]) -> None:

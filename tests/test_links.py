@@ -100,6 +100,17 @@ def test_links_of_two_fingers_that_meet_end_the_run():
     assert float(told.links[0, 0]) > 1e-3 and np.isnan(float(told.links[-1, 0]))
 
 
+def test_what_a_run_did_not_reach_is_no_overlap():
+    """Beside open faces, whose ends no place without numbers lies between."""
+    grasp, state = jxr.scenes.pivoted()
+    run = jxr.simulate(grasp, state, 3.0)
+    whole = jxr.link_clearance(grasp, run)
+    cut = jax.tree.map(lambda x: x.at[150:].set(jnp.nan), run.states)
+    told = jxr.link_clearance(grasp, dataclasses.replace(run, states=cut))
+    assert np.isnan(np.asarray(told.object)[150:]).all()
+    assert told.least == np.min(np.asarray(whole.object)[:150]) and told.time < 1.5
+
+
 def test_links_without_a_radius_are_not_watched():
     """Of three fingers the last two: from the object, and from each other, under their own numbers."""
     finger = lambda radius: jxr.Finger([LENGTH], [0.045], jxr.Circle(0.002), link_radius=radius)  # noqa: E731

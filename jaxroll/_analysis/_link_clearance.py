@@ -27,15 +27,15 @@ _SAMPLES = 128
 class LinkClearance(eqx.Module):
     """Distances of links as capsules, over a run; negative in an overlap.
 
-    A finger without a `link_radius` has links without thickness. Distances are not finite at times that a run
-    did not reach.
+    A finger without a `link_radius` has links without thickness. Distances are NaN at times that a run did
+    not reach.
 
     Attributes:
         ts: Saved times [s].
         object: Shape (t, f), distance from the object of the links of each finger that has links [m].
         links: Shape (t, p), distance between the links of two fingers [m].
         pairs: Which two fingers each column of `links` is about.
-        least: The least of all these distances [m].
+        least: The least of all these distances [m]; NaN where no state was saved.
         time: When it occurs [s].
         where: In words, between which two it occurs.
     """
@@ -88,10 +88,12 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
     if not chains:
         raise ValueError("argument grasp must have fingers with links, but had none")
     pairs = tuple(itertools.combinations(chains, 2))
-    away, apart = _distances(grasp, trajectory.states)
+    # At NaN the distance of a link from an object is one of minus infinity.
+    reached = np.isfinite(np.asarray(trajectory.states.q)).all(axis=1, keepdims=True)
+    away, apart = (jnp.where(reached, x, jnp.nan) for x in _distances(grasp, trajectory.states))
     both = np.concatenate([np.asarray(away), np.asarray(apart)], axis=1)
     names = [f"finger {i} and the object" for i in chains] + [f"fingers {i} and {j}" for i, j in pairs]
-    if not np.isfinite(both).any():
+    if not reached.any():
         return LinkClearance(trajectory.ts, away, apart, pairs, np.nan, np.nan, "no state was saved")
     when, which = np.unravel_index(np.nanargmin(both), both.shape)
     least, time = float(both[when, which]), float(np.asarray(trajectory.ts)[when])

@@ -44,8 +44,9 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver[Any]):
 
     The error estimate is $u_8$. The differences leave an error of 1e-7 of its norm in J, which costs no
     accuracy but lets the steps of equal runs differ in the third digit, and below rtol 1e-9 makes more of
-    them. Any diffrax problem with a small state may use the method. Derivatives of a run with respect to its
-    grasp and start go through, in both modes.
+    them. Any diffrax problem with a small state may use the method. Between its steps diffrax has a cubic by
+    their ends and slopes, whose error is of fourth order in the step. Derivatives of a run with respect to
+    its grasp and start go through, in both modes.
 
     Example:
         >>> import jaxroll as jxr
@@ -59,7 +60,7 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver[Any]):
     """
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
-    interpolation_cls: ClassVar[Any] = diffrax.LocalLinearInterpolation
+    interpolation_cls: ClassVar[Any] = diffrax.ThirdOrderHermitePolynomialInterpolation
 
     def order(self, terms: diffrax.AbstractTerm[Any, Any]) -> int:
         """Order of the method."""
@@ -91,9 +92,11 @@ class Rosenbrock(diffrax.AbstractAdaptiveSolver[Any]):
         x0, back = ravel_pytree(y0)
         nothing = jnp.zeros(0, x0.dtype)
         field = lambda t, x: (ravel_pytree(terms.vf(t, back(x), args))[0], nothing)  # noqa: E731
-        x1, _, error, _, _ = advance(field, (jnp.asarray(t0), jnp.asarray(t1)), x0, nothing)
+        x1, rates, error, _, _ = advance(field, (jnp.asarray(t0), jnp.asarray(t1)), x0, nothing)
         y1 = back(x1)
-        return y1, back(error), {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
+        k0, k1 = (back((t1 - t0) * slope) for slope in (field(t0, x0)[0], rates))
+        between = {"y0": y0, "y1": y1, "k0": k0, "k1": k1}
+        return y1, back(error), between, None, diffrax.RESULTS.successful
 
 
 def advance(

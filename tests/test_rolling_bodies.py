@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import jaxroll as jxr
-from jaxroll._analysis._loci import _Jet, _locus
+from jaxroll._analysis._loci import _Jet, _loci, _locus
 from jaxroll._analysis._rolling_kinematics import _Rolling
 from tests.helpers import in_single
 from tests.oracles import closed_forms_space as closed
@@ -232,6 +233,30 @@ def test_loci_that_begin_at_rest_have_derivatives_in_both_modes():
     np.testing.assert_allclose(pair[0], 0.5 * pair[1] * 0.3, rtol=1e-9)
     np.testing.assert_allclose(slopes, [2.0 * pair[0], pair[1]], rtol=1e-8)
     np.testing.assert_allclose(jax.jit(jax.grad(lambda late: length(late)[0]))(1.0), 2.0 * pair[0], rtol=1e-8)
+
+
+class SetIn(eqx.Module):
+    """A push that sets in at a time."""
+
+    at: jax.Array
+
+    @property
+    def jumps(self):
+        return self.at[None]
+
+    def __call__(self, t, pose, twist):
+        return jnp.array([0.3, 0.2, 0.0]) * jnp.where(t >= self.at, 1.0, 0.0), jnp.zeros(3)
+
+
+def test_torsion_beside_a_jump_is_that_of_its_own_side():
+    ball, state = jxr.scenes.turntable()
+    states = jax.tree.map(lambda x: x[None], state)
+    pushed = lambda at: ball.with_(load=SetIn(jnp.array(at)))  # noqa: E731
+    torsion = lambda at: np.asarray(_loci(pushed(at), jnp.array([0.1]), states).object.torsion)[0, 0]  # noqa: E731
+    after, before = torsion(-1.0), torsion(9.0)
+    assert abs(after - before) > 0.1 * abs(after)
+    np.testing.assert_allclose([torsion(0.1), torsion(0.0999)], after, rtol=1e-6)
+    np.testing.assert_allclose([torsion(0.10001), torsion(0.10015)], before, rtol=1e-6)
 
 
 def test_a_straight_locus_has_no_torsion_and_hinders_no_derivative():

@@ -18,10 +18,11 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._integration import check_one_run, layout, pack, Trajectory, unpack
-from .._linalg import Pose3, root, Twist3, Vec3
+from .._linalg import Pose3, root, total, Twist3, Vec3
 from .._mechanics import check_spatial, check_states, compiled, Grasp, Leaves, State
 from .._motion import evaluate, Index1, touches
 from .._printing import listed
@@ -116,9 +117,10 @@ def loci(grasp: Grasp, trajectory: Trajectory) -> Loci:
 
     Velocity and acceleration of the contact points over their surfaces are those of the equations of motion,
     not differences of states; the jerk, which the torsion alone needs, is a difference of fourth order of
-    accelerations along the motion, over 0.4 ms, in single precision over 8 ms. The arclength is integrated
-    from speed and its rate at the saved times by Hermite's rule, whose error is of fourth order in their
-    distance; both surfaces' arclengths come from their own points, so that A-2 can be seen to hold.
+    accelerations along the motion, over 0.4 ms, in single precision over 8 ms, and on one side of a declared
+    jump. The arclength is integrated from speed and its rate at the saved times by Hermite's rule, whose
+    error is of fourth order in their distance, where forces jump of second order, and at a blow of first;
+    both surfaces' arclengths come from their own points, so that A-2 can be seen to hold.
 
     Args:
         grasp: The grasp that was simulated, in space.
@@ -194,14 +196,29 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
         return jnp.where(step == 0.0, rates, line), (velocities, changes)
 
     apart = _STEP.of(x)
-    steps = apart * jnp.array([0.0, -2.0, -1.0, 1.0, 2.0], x.dtype)
-    _, (velocities, near) = jax.lax.scan(later, jnp.zeros_like(x), steps)
+    places, weights = _differences(grasp, t, apart)
+    _, (velocities, near) = jax.lax.scan(later, jnp.zeros_like(x), apart * places.astype(x.dtype))
     velocity, acceleration = velocities[0], near[0]
-    jerk = (near[1] - 8.0 * near[2] + 8.0 * near[3] - near[4]) / (12.0 * apart)
+    jerk = total([weight * each for weight, each in zip(weights, near, strict=True)]) / (12.0 * apart)
     points, normals, bends = _frames(grasp, unpack(lay, x)[0], velocity)
     parts = (points, velocity, acceleration, jerk, normals, bends)
     tip, face = (_Jet(*(part[:, i] for part in parts)) for i in (0, 1))  # pyright: ignore
     return tip, face
+
+
+def _differences(grasp: Grasp, t: Scalar, apart: float) -> tuple[Any, Any]:
+    """Where accelerations are taken for the jerk, in steps from a time [s], and twelve times their weights.
+
+    On both sides of the time, but on one side of a declared jump: forces on the other are of another motion.
+    """
+    both = np.array([[0.0, -2.0, -1.0, 1.0, 2.0], [0.0, 1.0, -8.0, 8.0, -1.0]])
+    ahead = np.array([[0.0, 1.0, 2.0, 3.0, 4.0], [-25.0, 48.0, -36.0, 16.0, -3.0]])
+    if not grasp.jumps:
+        return both[0], both[1]
+    since = t - jax.lax.stop_gradient(jnp.concatenate(grasp.jumps))
+    past, coming = (since >= 0) & (since < 2.0 * apart), (since < 0) & (since >= -2.0 * apart)
+    beyond = jnp.where(jnp.any(past), ahead, jnp.where(jnp.any(coming), -ahead, both))
+    return beyond[0], beyond[1]
 
 
 def _arrays(tree: Any, like: Array) -> Any:

@@ -42,7 +42,7 @@ def close(
     Positions minimise $\frac12 (q - q_0)^T M(q_0) (q - q_0)$ subject to gap (5)-(6), (64)-(65) and tangency,
     by damped Gauss-Newton steps from the guess, and so locally; where contacts may roll, how far they roll
     counts too, with a thousandth of the mean weight of a coordinate. Velocities are then projected
-    onto $A v = 0$ in the same metric. The result is differentiable in both modes, by the implicit
+    onto $A v = 0$ in the mass metric of the closed pose. The result is differentiable in both modes, by the implicit
     function theorem, with respect to every number in `grasp` and `guess`; leaving this out of a gradient
     through a simulation makes it wrong, not inexact.
 

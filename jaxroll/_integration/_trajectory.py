@@ -32,7 +32,8 @@ class Stats(eqx.Module):
         margin: What ran out there, at the end: normal force or distance to the friction cone [N], distance to
             the end of a contour or to the object [m], to the end of a joint's range [rad or m], what torque
             is left [N m or N], what the relative sum of curvatures has beyond 1e-4, or a million times what
-            the relative smallest pivot of A M^-1 A^T has beyond 1e-9; infinite where nothing did.
+            the relative smallest pivot of A M^-1 A^T has beyond 1e-9; infinite where nothing did, and minus
+            infinity where contacts could not answer a blow.
     """
 
     __repr__ = listed

@@ -42,9 +42,9 @@ def close(
     Positions minimise $\frac12 (q - q_0)^T M(q_0) (q - q_0)$ subject to gap (5)-(6), (64)-(65) and tangency,
     by damped Gauss-Newton steps from the guess, and so locally; where contacts may roll, how far they roll
     counts too, with a thousandth of the mean weight of a coordinate. Velocities are then projected
-    onto $A v = 0$ in the mass metric of the closed pose. The result is differentiable in both modes, by the implicit
-    function theorem, with respect to every number in `grasp` and `guess`; leaving this out of a gradient
-    through a simulation makes it wrong, not inexact.
+    onto $A v = 0$ in the mass metric of the closed pose. The result is differentiable in both modes, by the
+    implicit function theorem, with respect to every number in `grasp` and `guess`; leaving this out of a
+    gradient through a simulation makes it wrong, not inexact.
 
     Args:
         grasp: The grasp.

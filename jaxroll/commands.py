@@ -20,7 +20,7 @@ from ._closures import as_tree
 from ._fields import real, taken, through
 from ._linalg import larger, smaller
 from ._printing import listed
-from ._results import as_array, check_callable, check_finite, concrete, shown
+from ._results import as_array, check_callable, check_finite, concrete, shown, traced
 from ._types import Given, Scalar
 
 __all__ = ("AbstractSchedule", "Declared", "Ramps", "Steps")
@@ -57,6 +57,11 @@ def _check_count(values: Array, count: int, words: str) -> None:
         )
 
 
+def _in_order(times: Array, values: Array) -> Array:
+    """The values; NaN where JAX traces times, which nobody can refuse then, and these do not rise."""
+    return jnp.where(jnp.all(times[1:] > times[:-1]), values, jnp.nan) if traced(times) else values
+
+
 class AbstractSchedule(eqx.Module):
     """A function of time given by values at times, and all of these times are its jumps."""
 
@@ -84,7 +89,8 @@ class Steps(AbstractSchedule):
         values: Shape (k + 1, ...): what it is before, between and after the times. Differentiable.
 
     Raises:
-        ValueError: If times do not rise, or there is not one value more than there are times.
+        ValueError: If times do not rise, or there is not one value more than there are times. Of times that
+            JAX traces and that do not rise all values are NaN.
 
     Example:
         >>> import jaxroll as jxr
@@ -101,6 +107,7 @@ class Steps(AbstractSchedule):
         self.times = taken(self, "times", times)
         self.values = taken(self, "values", values)
         _check_count(self.values, self.times.shape[0] + 1, "one value more than there are times")
+        self.values = _in_order(self.times, self.values)
 
     def __call__(self, t: Scalar) -> Array:
         value = self.values[0]
@@ -117,7 +124,8 @@ class Ramps(AbstractSchedule):
         values: Shape (k, ...). Differentiable.
 
     Raises:
-        ValueError: If times do not rise, or there are not as many values.
+        ValueError: If times do not rise, or there are not as many values. Of times that JAX traces and that
+            do not rise all values are NaN.
 
     Example:
         >>> import jaxroll as jxr
@@ -133,6 +141,7 @@ class Ramps(AbstractSchedule):
         self.times = taken(self, "times", times)
         self.values = taken(self, "values", values)
         _check_count(self.values, self.times.shape[0], "as many values as there are times")
+        self.values = _in_order(self.times, self.values)
 
     def __call__(self, t: Scalar) -> Array:
         value = self.values[0]

@@ -409,6 +409,17 @@ def test_a_run_in_space_with_numbers_that_change():
 # --- functions of time
 
 
+@pytest.mark.parametrize("kind", [Steps, Ramps])
+def test_traced_times_that_do_not_rise_are_no_command(kind):
+    """What nobody can refuse yet is no success: values are NaN, and with them a run ends."""
+    values = [1.0, 2.0, 3.0, 4.0][: 3 + (kind is Steps)]
+    asked = jax.jit(jax.vmap(lambda times: kind(times, values)(0.5)))
+    rows = np.array([[0.1, 0.2, 0.9], [0.2, 0.1, 0.9], [0.1, 0.1, 0.9]])
+    found = asked(rows)
+    assert float(found[0]) == float(kind(rows[0], values)(0.5))
+    assert np.isnan(np.asarray(found[1:])).all()
+
+
 def test_what_steps_and_ramps_are_between_their_times():
     step, ramp = Steps([1.0, 2.0], [[1, 10], [2, 20], [3, 30]]), Ramps([1.0, 2.0, 4.0], [1.0, 3.0, 2.0])
     seen = [step(t).tolist() for t in (0.9, 1.0, 1.9, 2.0, 5.0)]

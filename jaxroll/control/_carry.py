@@ -42,8 +42,8 @@ class Carry(AbstractController):
 
     from the potential
     $P = \frac\beta2 \sum_{i<j} |r_i - r_j|^2 + \frac k2 \sum_i |r_i - p - R h_i|^2 - F \cdot \bar r$, with
-    the mean $\bar r$ of the tips. If one of its numbers changes in time there is no potential, and the
-    whole power of the joint torques counts as work.
+    the mean $\bar r$ of the tips. If one of its numbers but the damping changes in time there is no
+    potential, and the whole power of the joint torques counts as work.
 
     Args:
         beta: $\beta$ [N/m]: as in `Opposition`, every pair of tips attracts.

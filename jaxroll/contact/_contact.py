@@ -51,7 +51,9 @@ class AbstractContact(eqx.Module):
       place (`equation_names` is then given too).
 
     Where its shapes end, as a rack does, a fifth one, `ends(shapes, place)`: the distances [m] of the place
-    from these ends. Without it a run goes past them. A place moves without slipping if, at vanishing tangency, the gap does not change to first order as the
+    from these ends. Without it a run goes past them.
+
+    A place moves without slipping if, at vanishing tangency, the gap does not change to first order as the
     place alone moves: so one coordinate that runs along both contours at the same rate is a rolling contact.
     All arithmetic is on scalars (`Vec2`, `Vec3`, and `Pose2` or `Pose3` with `place` and `turn`), so that it
     costs in a run and in a batch what the package's own does. Residuals and forces of such a contact are
@@ -228,7 +230,7 @@ class AbstractContact(eqx.Module):
     # Limits, and reports.
 
     def ends(self, shapes: Shapes, place: Any) -> list[Scalar]:
-        """Distances [m] of the contact from the ends of both shapes; by default empty, as where they have none."""
+        """Distances [m] of the contact from the ends of both shapes; empty, as by default, for none."""
         return []
 
     def curvature_margin(self, shapes: Shapes, place: Any, poses: tuple[Any, Any], touch: Any) -> Scalar:

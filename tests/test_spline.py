@@ -137,6 +137,12 @@ def test_derivatives_in_points_and_wavelength(smoothing, along, differences, mod
     np.testing.assert_allclose(reverse, forward, rtol=modes)
 
 
+def test_forward_derivatives_of_a_smoothing_spline_in_all_directions_at_once():
+    """As `jax.jacfwd`, `identify` and designs of few numbers take them; traced, not compiled."""
+    measured = lambda points: _measured(jxr.Spline(points, smoothing=0.01, cells=64))  # noqa: E731
+    assert jax.eval_shape(jax.jacfwd(measured), jnp.asarray(circle_points())).shape == circle_points().shape
+
+
 def test_smoothing_too_long_for_its_knots_is_refused_or_unresolved():
     points = long_arc(300)
     far = jxr.Spline(points, closed=False, smoothing=1.0)

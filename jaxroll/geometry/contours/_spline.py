@@ -269,17 +269,23 @@ def _smoothed(functions: Basis, values: Array, weight: Array, right: Array) -> A
     normal = values.T @ values / count + weight * functions.roughness()
     factors = jax.scipy.linalg.lu_factor(jax.lax.stop_gradient(normal))
 
-    def solved(apply: Callable[[Array], Array], given: Array) -> tuple[Array, Array]:
-        found = jax.scipy.linalg.lu_solve(factors, given)
-        step = found
-        for _ in range(_REFINED):
-            step = jax.scipy.linalg.lu_solve(factors, given - apply(found))
-            found = found + step
-        return found, jnp.max(jnp.abs(step)) / jnp.max(jnp.abs(found))
+    def step(apply: Callable[[Array], Array], given: Array, found: Array) -> Array:
+        return jax.scipy.linalg.lu_solve(factors, given - apply(found))
 
-    found, last = jax.lax.custom_linear_solve(applied, right, solved, symmetric=True, has_aux=True)
+    def solved(apply: Callable[[Array], Array], given: Array) -> Array:
+        found = jax.scipy.linalg.lu_solve(factors, given)
+        for _ in range(_REFINED - 1):
+            found = found + step(apply, given, found)
+        return found
+
+    found = jax.lax.custom_linear_solve(applied, right, solved, symmetric=True)
+    # The last step, out here, refines derivatives too. Its size cannot be an `aux` of the solve: JAX batches
+    # that in every `vmap`, also where nothing differs, and `jax.jacfwd` wants one value for all directions.
+    last = step(applied, right, found)
+    found = found + last
+    ratio = jax.lax.stop_gradient(jnp.max(jnp.abs(last)) / jnp.max(jnp.abs(found)))
     # NaN refuses the table.
-    return jnp.where(last <= _LAST_STEP.of(found), found, jnp.nan)
+    return jnp.where(ratio <= _LAST_STEP.of(found), found, jnp.nan)
 
 
 def spline_basis(u: Array, knots: int | None, degree: int, *, closed: bool) -> Basis:

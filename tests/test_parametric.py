@@ -112,6 +112,12 @@ def test_runs_batches_and_gradients_go_through_the_curve():
             "argument function must end where it began",
         ),
         (
+            lambda: jxr.Parametric(
+                lambda u: (1 + 1e-3 * jnp.sin(u / 2)) * ellipse((A, B), u), (0.0, TURN), closed=True
+            ),
+            "argument function must go on smoothly where it closes, .* by -0.00143 rad",
+        ),
+        (
             lambda: jxr.Parametric(lambda u: jnp.stack([jnp.log(u), u]), (-1.0, 1.0)),
             "argument function must give finite points",
         ),

@@ -37,6 +37,8 @@ from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
 
 # How far apart the ends of a closed curve may be, relative to its size, in double and in single precision.
 _CLOSED = ByPrecision(1e-9, 1e-5)
+# The angle [rad] by which the tangent may turn from one end to the other.
+_SMOOTH = ByPrecision(1e-6, 1e-3)
 # Places at which a curve is looked at when it is made.
 _LOOKED_AT = 257
 
@@ -56,9 +58,9 @@ class Parametric(AbstractTabulated):
 
     Raises:
         ValueError: If the function gives no point, one that is not finite, runs clockwise where it is
-            closed, does not close, or another argument does not fit. A curve that stops, or bends more
-            sharply than the cells resolve, is refused where it is first used; one that crosses itself where
-            it is to bound an object.
+            closed, does not close or has a corner there, or another argument does not fit. A curve that
+            stops, or bends more sharply than the cells resolve, is refused where it is first used; one that
+            crosses itself where it is to bound an object.
 
     Accuracy: the table's error falls as cells$^{-6}$ (`table_error`); with 1024 cells an ellipse with
     half axes of 20 and 14 mm is met to 1e-16 m in the point and 3e-8 1/m in the curvature.
@@ -201,3 +203,20 @@ def _check(contour: Parametric) -> None:
         raise ValueError(f"argument function must end where it began if closed, but ends {apart:.3g} m away")
     if not size > 0 or polygon_area(points[:-1]) <= 0:
         raise ValueError("argument function must run counter-clockwise round its body, but runs clockwise")
+    _check_seam(contour.function, places[jnp.array([0, -1])])
+
+
+def _check_seam(function: Callable[[Any], Any], ends: Array) -> None:
+    """Raise where a closed curve has a corner at its ends: its table would have one tangent at each."""
+    point = lambda u: jnp.asarray(function(u))  # noqa: E731
+    rates = concrete(jax.vmap(lambda u: jax.jvp(point, (u,), (jnp.ones_like(u),))[1])(ends))
+    if rates is None:
+        return
+    first, last = rates
+    # Zero of a curve that stops there, which its table refuses.
+    turn = np.arctan2(last[0] * first[1] - last[1] * first[0], last @ first)
+    if abs(turn) > _SMOOTH.of(rates):
+        raise ValueError(
+            "argument function must go on smoothly where it closes, but its direction turns there by "
+            f"{turn:.3g} rad"
+        )

@@ -287,6 +287,10 @@ REFUSED = {
         lambda: Chart(bulb, domain=(ROUND[0], (0.0, 3.0)), periodic=(True, False)),
         "has an edge at v = 3",
     ),
+    "chart twice round": (
+        lambda: Chart(bulb, domain=((0.0, 4.0 * np.pi), (0.0, np.pi)), periodic=(True, False)),
+        "runs once round its body, but this Chart does so 2 times",
+    ),
     "field beyond its bounds": (
         lambda: Implicit(lambda x, y, z: x * x + y * y + z * z - 1e-4, radius=0.005),
         "no point of this Implicit",

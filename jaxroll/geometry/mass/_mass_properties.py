@@ -65,8 +65,9 @@ def mass_properties(
         in the shape's numbers, of every shape in `density` and `thickness`.
 
     Raises:
-        ValueError: If a shape has ends or no bounds, a contour crosses itself or runs round more than once, a
-            mesh has holes, or parts that overlap more than a little, or the normal points inward.
+        ValueError: If a shape has ends or no bounds, a contour crosses itself, a contour or chart runs round
+            more than once, a mesh has holes, or parts that overlap more than a little, or the normal points
+            inward.
 
     Accuracy: closed forms and meshes to rounding. A contour is integrated as its table has it: an ellipse as
     a `Parametric` to 1e-14. Charts and patches settle to 1e-12, implicit surfaces of any genus to 1e-9 or

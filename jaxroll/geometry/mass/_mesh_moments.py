@@ -91,7 +91,7 @@ def _check_counted_once(triangles: np.ndarray, parts: np.ndarray) -> None:
     asked = asked[areas[asked] > 0.0]
     away = _ASIDE * normals[asked] / np.sqrt(areas[asked])[:, None]
     middles = triangles[asked].mean(axis=1)
-    times = _times_enclosed(np.stack([middles - away, middles + away], axis=1).reshape(-1, 3), triangles)
+    times = times_enclosed(np.stack([middles - away, middles + away], axis=1).reshape(-1, 3), triangles)
     wrong = times[(times < 0) | (times > 1)]
     if len(wrong):
         raise ValueError(
@@ -100,7 +100,7 @@ def _check_counted_once(triangles: np.ndarray, parts: np.ndarray) -> None:
         )
 
 
-def _times_enclosed(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def times_enclosed(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """How often a closed mesh runs round each point: the solid angle of its triangles over a sphere's."""
     total = np.zeros(len(points))
     dot = lambda x, y: x[0] * y[0] + x[1] * y[1] + x[2] * y[2]  # noqa: E731

@@ -30,6 +30,7 @@ from ..surfaces import (
     Torus,
 )
 from ._level_moments import level_moments
+from ._mesh_moments import times_enclosed
 from ._moments import checked, difference, from_cones, Moments
 
 # Points of Gauss-Legendre's rule along either side of a panel.
@@ -40,6 +41,8 @@ _PANELS, _MOST = 4, 128
 _SETTLED = 1e-12
 # Places that one call of the compiled program takes.
 _BATCH = 4096
+# Places asked how often a chart runs round them.
+_ASKED = 12
 # An edge shorter than this share of the surface's size is a pole.
 _POLE = 1e-9
 
@@ -108,7 +111,11 @@ def _of_ring(xp: Any, major: Array, minor: Array) -> tuple[Array, Array, Array]:
 def _chart_moments(chart: AbstractChart) -> Moments:
     """Moments by quadrature over the domain of a chart, on finer and finer panels."""
     ends = np.asarray([[float(end) for end in pair] for pair in chart.domain()])
-    _check_edges(chart, ends)
+    share = np.linspace(0.0, 1.0, 64)
+    inside = [low + (high - low) * share for low, high in ends]
+    whole, _ = _jets(chart, *(grid.ravel() for grid in np.meshgrid(*inside, indexing="ij")))
+    _check_edges(chart, ends, inside, np.ptp(whole, axis=0).max())
+    _check_once(chart, whole.reshape(64, 64, 3))
     # A patch is one polynomial in each cell of its grid: panels do not straddle its lines.
     counts = [_PANELS, _PANELS]
     if isinstance(chart, Patch):
@@ -164,12 +171,8 @@ def _evaluated(chart: AbstractChart, u: Array, v: Array) -> tuple[Array, Array]:
     return jax.vmap(one)(u, v)
 
 
-def _check_edges(chart: AbstractChart, ends: np.ndarray) -> None:
+def _check_edges(chart: AbstractChart, ends: np.ndarray, inside: list[np.ndarray], size: float) -> None:
     """Raise where a chart has an edge that is neither a seam of its period nor a pole."""
-    share = np.linspace(0.0, 1.0, 64)
-    inside = [low + (high - low) * share for low, high in ends]
-    whole, _ = _jets(chart, *(grid.ravel() for grid in np.meshgrid(*inside)))
-    size = np.ptp(whole, axis=0).max()
     for axis, loop in enumerate(chart.periodic):
         for end in () if loop else ends[axis]:
             along = [inside[0], inside[1]]
@@ -180,3 +183,24 @@ def _check_edges(chart: AbstractChart, ends: np.ndarray) -> None:
                     f"argument shape must be closed, but this {type(chart).__name__} has an edge at "
                     f"{'uv'[axis]} = {end:.4g}"
                 )
+
+
+def _check_once(chart: AbstractChart, points: np.ndarray) -> None:
+    """Raise where a chart runs round its body more than once, by triangles between points on a grid.
+
+    These are asked about places behind them, deeper than a chord lies below its arc. Most must say so: a few
+    triangles of a coarse grid may cross others where the surface does not.
+    """
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    triangles = np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3, 3)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    along = np.cumsum(areas)
+    asked = np.searchsorted(along, along[-1] * (np.arange(_ASKED) + 0.5) / _ASKED)
+    below = triangles[asked].mean(axis=1) - 0.1 * normals[asked] / np.sqrt(areas[asked])[:, None]
+    times = int(np.median(times_enclosed(below, triangles)))
+    if times > 1:
+        raise ValueError(
+            "argument shape must be a surface that runs once round its body, but this "
+            f"{type(chart).__name__} does so {times} times"
+        )

@@ -68,11 +68,11 @@ class Identified:
         covariance: Shape (n, n), in the order of `values`; infinite in the rows and columns of such numbers.
         noise: Standard deviation of the measurements: the one given, or the one that the misfit shows.
         misfit: Root mean square of measured minus computed, over the noise: about one where model and noise
-            are right; zero where they fit exactly.
+            are right, and of a noise that the misfit shows always; zero where they fit exactly.
         steps: How many steps were tried.
         result: `successful`; `max_steps_reached`, of the search; `solver_failed` where it ended at a kink, a
             jump or beside numbers without a run, though no minimum is there; `undetermined` where the data
-            tell nothing of any number; or why the run with the numbers found broke off, such as
+            tell nothing of any number by itself; or why the run with the numbers found broke off, such as
             `step_collapsed`. A run that an event ended did not break off.
     """
 

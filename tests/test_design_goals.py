@@ -75,6 +75,13 @@ def test_a_signal_that_is_not_known_throughout_has_no_measure(run, missing):
         assert np.isnan(measure(run, signal=some))
 
 
+def test_a_run_of_one_saved_state_does_not_say_how_it_settled(run):
+    one = eqx.tree_at(lambda r: (r.ts, r.states), run, jax.tree.map(lambda a: a[-1:], (run.ts, run.states)))
+    for measure in (settling_time, overshoot, tracking_error):
+        with pytest.raises(ValueError, match="argument run must have saved two states or more"):
+            measure(one)
+
+
 def test_measures_of_forces(run):
     f, lam = np.asarray(run.multipliers.f), np.asarray(run.multipliers.lam)
     assert float(peak_force(run)) == f.max()
@@ -174,8 +181,10 @@ def test_forward_and_reverse_are_chosen_by_size():
     assert text("auto", 1) == text("forward", 1) != text("reverse", 1)
     assert text("auto", 2) == text("reverse", 2) != text("forward", 2)
     assert text("auto", 9) == text("reverse", 9) != text("forward", 9)
-    _, aux = value_and_grad(lambda x: (jnp.sum(x), "more"), "reverse", has_aux=True)(jnp.ones(3))[0]
-    assert aux == "more"
+    for mode in ("forward", "reverse"):
+        both = value_and_grad(lambda x: (jnp.sum(x), {"word": "more", "twice": 2.0 * x}), mode, has_aux=True)
+        _, aux = both(jnp.ones(3))[0]
+        assert aux["word"] == "more" and aux["twice"].tolist() == [2.0, 2.0, 2.0]
 
 
 @pytest.mark.slow

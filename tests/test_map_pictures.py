@@ -71,6 +71,13 @@ def test_a_map_shows_the_first_two_that_change_and_holds_the_others_in_the_middl
     assert data.held == "c = 0.4 N, d = 6"
 
 
+def test_sides_of_a_map_lie_along_two_axes_of_a_grid_where_one_axis_has_several_names():
+    both = jxr.Parameters(a=[1.0, 2.0, 4.0], d=[9.0, 8.0, 7.0]) * jxr.Parameters(b=[1.0, 3.0])
+    data = map_data(both, both.a + both.b)
+    assert (data.x.label, data.y.label, data.gridded) == ("a", "b", True)
+    assert map_data(both, both.a, y="a").x.label == "b"
+
+
 @pytest.mark.parametrize("number", [np.float32(0.2), np.int64(0), jnp.asarray(0.2), np.array(0.2), 0.2, 0])
 def test_a_parameter_is_held_at_a_number_of_any_library(number):
     data = map_data(GRID, height(GRID.a, GRID.b, GRID.c, GRID.d), at={"c": number})

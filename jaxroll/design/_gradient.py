@@ -8,6 +8,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
@@ -91,13 +92,18 @@ def _forward(function: Callable, x: Any, has_aux: bool) -> Any:
     """Value and gradient in forward mode: one tangent for each number, all of them along one run."""
     flat, unravel = ravel_pytree(x)
 
+    others = []  # of `aux`, what is no array: `vmap` cannot hand it on
+
     def along(direction: Array) -> Any:
-        if has_aux:
-            return jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,), has_aux=True)
-        return (*jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,)), None)
+        if not has_aux:
+            return (*jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,)), None)
+        value, slope, aux = jax.jvp(lambda z: function(unravel(z)), (flat,), (direction,), has_aux=True)
+        arrays, rest = eqx.partition(aux, eqx.is_array)
+        others.append(rest)
+        return value, slope, arrays
 
     # Neither value nor aux depends on the direction: with `out_axes=None` the run is computed once for all
     # tangents.
     each = jax.vmap(along, out_axes=(None, 0, None))
     value, slopes, aux = each(jnp.eye(flat.shape[0], dtype=flat.dtype))
-    return ((value, aux) if has_aux else value), unravel(slopes)
+    return ((value, eqx.combine(aux, others[-1])) if has_aux else value), unravel(slopes)

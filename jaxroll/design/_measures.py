@@ -45,7 +45,8 @@ def settling_time(run: Trajectory, *, band: float = 0.02, signal: Signal | None 
         One number [s].
 
     Raises:
-        ValueError: If `run` is no run or a batch, `band` is not positive, or `signal` does not fit the run.
+        ValueError: If `run` is no run, a batch or of one saved state, `band` is not positive, or `signal`
+            does not fit the run.
 
     Example:
         >>> import jaxroll as jxr
@@ -86,7 +87,7 @@ def overshoot(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         One number, without a unit.
 
     Raises:
-        ValueError: If `run` is no run or a batch, or `signal` does not fit it.
+        ValueError: If `run` is no run, a batch or of one saved state, or `signal` does not fit it.
 
     Example:
         >>> import jaxroll as jxr
@@ -123,7 +124,7 @@ def tracking_error(run: Trajectory, *, signal: Signal | None = None) -> Scalar:
         One number [s].
 
     Raises:
-        ValueError: If `run` is no run or a batch, or `signal` does not fit it.
+        ValueError: If `run` is no run, a batch or of one saved state, or `signal` does not fit it.
 
     Example:
         >>> import jaxroll as jxr
@@ -257,6 +258,8 @@ def _checked(run: Trajectory, signal: Signal | None) -> Array:
         raise ValueError(
             f"argument signal must have shape ({run.states.q.shape[0]}, any), but had shape {y.shape}"
         )
+    if y.shape[0] < 2:
+        raise ValueError("argument run must have saved two states or more, but saved one")
     if not traced(y) and np.isinf(np.asarray(y)).any():
         raise ValueError(f"argument signal must hold numbers, NaN where there is none, but was {shown(y)}")
     return y[:, None] if y.ndim == 1 else y

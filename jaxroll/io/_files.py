@@ -41,9 +41,10 @@ def read_points(
     Paths made of straight pieces give their corners, others `samples` points at equal distances; with `fill`
     both give all corners and about so many points between them. That is what `fit_contour` wants of a drawing
     with corners, and a `smallest_radius` to round them to. An SVG's y, which points down, is turned up. A
-    drawing's own unit, where it states one, must agree with `unit`. What a drawing hides or shows
-    without any paint is left out, and text and pictures are no outlines. Lines and curves whose ends meet, to
-    a millionth of the drawing's size, are one outline, unless more than two meet at a place.
+    drawing's own unit, where it states one, must agree with `unit`. What a drawing hides is left out, and
+    what it shows without any paint, unless nothing has any; text and pictures are no outlines. Lines and
+    curves whose ends meet, to a millionth of the drawing's size, are one outline, unless more than two meet
+    at a place.
 
     Args:
         path: The file.
@@ -55,7 +56,8 @@ def read_points(
         columns: Tables: the columns of x and y, counting from 0.
 
     Returns:
-        Shape (n, 2), in metres, in the file's order; a closed outline's first point is not repeated.
+        Shape (n, 2), in metres, in the file's order; the first point of a drawing's closed outline is not
+        repeated, that of a table where the table does so (`fit_contour` merges both).
 
     Raises:
         ValueError: If the file holds no such outline or a number that is not finite, or the units disagree.

@@ -103,8 +103,14 @@ def _sides(parameters: Parameters, x: Any, y: Any) -> tuple[str, str]:
             f"argument parameters must have two parameters of one number each that change, "
             f"but those were {shown(free)}"
         )
-    x = left.pop(0) if x is None else x
-    return x, left.pop(0) if y is None else y
+    x = _another(parameters, left, y) if x is None else x
+    return x, _another(parameters, [name for name in left if name != x], x) if y is None else y
+
+
+def _another(parameters: Parameters, names: list[str], side: str | None) -> str:
+    """The first name that changes along another axis of the grid than the other side does, else the first."""
+    along = {name: k for k, axis in enumerate(parameters.axes) for name in axis}
+    return next((name for name in names if side is None or along[name] != along[side]), names[0])
 
 
 def _numbered(parameters: Parameters, values: Any) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -55,7 +55,7 @@ def parameter_map(
         values: One number, truth value or code for each row, as `sweep` returns them or in the grid's shape;
             of a stored sweep an array of its table.
         x: Which parameter runs along the lower side. Default: the first that changes.
-        y: Which one along the left side. Default: the next one.
+        y: Which one along the left side. Default: the next one, along another axis of a grid.
         at: Of a grid of more axes, where the other parameters are held, by name: the nearest value of the
             grid is taken. Default: the one in the middle.
         label: What the value is, with its unit.

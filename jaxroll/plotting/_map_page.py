@@ -39,7 +39,7 @@ def map_page(
         values: One number, truth value or code for each row, as `sweep` returns them or in the grid's shape.
         path: The file to write, ending in `.html`; its folder is made if need be.
         x: Which parameter runs along the lower side. Default: the first that changes.
-        y: Which one along the left side. Default: the next one.
+        y: Which one along the left side. Default: the next one, along another axis of a grid.
         at: Of a grid of more axes, where the other parameters are held, by name, as for `parameter_map`.
         label: What the value is, with its unit.
         title: What stands above.

@@ -18,6 +18,7 @@ from jaxroll.geometry.contours import (
 from jaxroll.geometry.contours._given_points import numbers, polygon_area
 from tests.helpers import in_single
 from tests.measures import both_ways
+from tests.oracles.known_curves import ellipse_points
 
 TURN = 2.0 * np.pi
 
@@ -664,6 +665,16 @@ def test_curvatures_of_tables_in_single_precision_and_their_derivatives(kind, cl
     np.testing.assert_allclose(values, 1.0 / radius, rtol=close)
     for slopes in (along, back):
         np.testing.assert_allclose(slopes, -1.0 / radius**2, rtol=slopes_close)
+
+
+def test_a_spline_in_single_precision_bends_as_its_points_do():
+    """All round an ellipse: neighbouring pieces have tangents apart by more than the rounding of a step."""
+    s = np.linspace(0.0, 0.1, 301)
+    contour = in_single(lambda points: jxr.Spline(points).tabled(), ellipse_points(64))
+    points, found = in_single(lambda s: (contour.point(s), contour.curvature(s)), s)
+    angle = np.arctan2(points[:, 1] / 0.014, points[:, 0] / 0.02)
+    exact = 0.02 * 0.014 / np.hypot(0.02 * np.sin(angle), 0.014 * np.cos(angle)) ** 3
+    np.testing.assert_allclose(found, exact, rtol=0.0, atol=3e-4 * exact.max())
 
 
 def test_tables_that_do_not_resolve_their_contour_are_read_by_their_span():

@@ -142,13 +142,16 @@ def _by_bends(quintics: Array, points: Array, slopes: Array, bends: Array, *, cl
     """Quartics for those cells in which they end as the next begins, to rounding; the quintics for others.
 
     Others are cells in which the curvature jumps, or changes too much for a quartic. Rounding of points, of
-    their sums over the contour and of tangents leaves some ten units of the last digit.
+    their sums over the contour and of tangents leaves some ten units of the last digit; through points that
+    are close together, as those of a spline may be, tangents have more of it. A quartic whose end is off by
+    the rounding of the points is still better than the quintic: that bends by so much over a step's square.
     """
     rows = quartics(points, slopes, bends, closed=closed)
     eps = jnp.finfo(points.dtype).eps
     apart = jnp.abs(rows.sum(axis=-1) - points[1:]).max(axis=-1)
     turned = jnp.abs(rows @ np.arange(6, dtype=rows.dtype) - slopes[1:]).max(axis=-1)
-    meet = (apart <= 16.0 * eps * jnp.abs(points).max()) & (turned <= 32.0 * eps * jnp.abs(slopes).max())
+    size, pace = jnp.abs(points).max(), jnp.abs(slopes).max()
+    meet = (apart <= 16.0 * eps * size) & (turned <= eps * jnp.maximum(32.0 * pace, 2.0 * size))
     return jnp.where(meet[:, None, None], rows, quintics)
 
 

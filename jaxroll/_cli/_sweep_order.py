@@ -156,7 +156,7 @@ def sweep_parser(commands: Any, number: Callable[..., Any]) -> None:
     about = "the same in TOML: scene, number, ... and a table [set]"
     sweep.add_argument("--file", metavar="FILE", help=about)
     numbers = {
-        "number": "runs in all, where ranges have no COUNT (default: 1024)",
+        "number": "runs in all where ranges have no COUNT; on a grid the nearest there is (default: 1024)",
         "seconds": "time to simulate (default: 1)",
         "times": "states saved for measures that look at them (default: 101)",
         "rtol": "relative tolerance of the solver (default: 1e-6)",

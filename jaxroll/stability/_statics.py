@@ -195,7 +195,8 @@ def pinch_rest(grasp: Grasp, state: State, *, damping: float = 0.0) -> tuple[Flo
         grasp: A pinch, as `pinch_statics` takes it.
         state: Where to start; only its contact coordinates count.
         damping: In the derivative an eigenvalue $x$ of the Hessian counts as $x + e^2/x$ with $e$ this share,
-            from 0 to 1, of the Hessian's size. By default exact: infinite where the place is neutral.
+            from 0 to 1, of the Hessian's Frobenius norm. By default exact: infinite where the place is
+            neutral.
 
     Returns:
         The chapter's $s_i$ at rest [m], as `pinch_statics` takes them, and the statics there; NaN where none

@@ -46,8 +46,8 @@ class CSM(eqx.Module):
     contact frame, which $\ddot Q$ and $\ddot R$ of (64)-(65) have, are left out. So this is the chapter's
     equation on the constraint manifold, and off it where the frame rests; a gap $\epsilon$ in a frame that
     turns at $\omega$ is pulled back with errors of order $\omega \epsilon$ in its rate. The gains add rates
-    of $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take twelve times (301 saved states)
-    to thirty times (one) as many steps.
+    of $-750 \pm 1299i$ and $-1500 \pm 2598i$ 1/s, so explicit solvers take eleven times (301 saved states)
+    to 26 times (one) as many steps.
 
     Args:
         gamma_f: $\gamma_{f1}$ [1/s]. Default: 1500.

@@ -151,6 +151,8 @@ def test_a_support_function_goes_through_more_than_twice_as_many_points_as_it_ha
     for count, terms in ((8, 4), (9, 0), (9, 5)):
         with pytest.raises(ValueError, match="argument terms must"):
             jxr.SupportFunction.through(points[:count], terms=terms)
+    with pytest.raises(ValueError, match="argument points must lie round a body, but lie on one line"):
+        jxr.SupportFunction.through([[0.01 * x, 0.3 - 0.02 * x] for x in range(9)], terms=2)
 
 
 def test_free_numbers_of_a_support_function_are_its_series_divided_by_what_waves_bend(unlooked):

@@ -252,7 +252,7 @@ class SupportFunction(AbstractSupport):
             cells: As for the class.
 
         Raises:
-            ValueError: If there are too few points, or the nearest series folds.
+            ValueError: If there are too few points, they lie on one line, or the nearest series folds.
 
         Accuracy: spectral for exact points of a smooth contour: for an ellipse with half axes of 10 and 7 mm
         the largest error of $h$ is 0.08 um with 8 terms, 0.7 pm with 20.
@@ -268,6 +268,9 @@ class SupportFunction(AbstractSupport):
             most = (len(data) - 1) // 2
             raise ValueError(f"argument terms must lie between 1 and {most} (by the points), but was {terms}")
         check_extent("points", data)
+        spread = np.linalg.svd(data - data.mean(axis=0), compute_uv=False)
+        if spread[1] <= 1e-9 * spread[0]:
+            raise ValueError("argument points must lie round a body, but lie on one line")
         # In one array: the mean, then the cosines, then the sines.
         series, _ = fit_series(data, terms)
         return cls(series[0], series[1 : terms + 1], series[terms + 1 :], cells=cells)

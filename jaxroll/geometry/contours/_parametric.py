@@ -31,6 +31,7 @@ from ..._results import (
     traceable,
 )
 from ..._types import ByPrecision, Given
+from ..._xla import quickly
 from ._arclength import arclength_at, in_cells
 from ._given_points import polygon_area
 from ._table import AbstractTabulated, FEWEST_CELLS, Table, tabulated
@@ -168,6 +169,13 @@ def _point(given: Any) -> Array:
         ) from None
 
 
+@quickly
+def _along(function: Callable[[Any], Any], places: Array) -> tuple[Array, Array]:
+    """Points of a curve at places, and their derivatives there."""
+    at = lambda u: jax.jvp(lambda u: jnp.asarray(function(u)), (u,), (jnp.ones_like(u),))  # noqa: E731
+    return jax.vmap(at)(places)
+
+
 def _check(contour: Parametric) -> None:
     """Raise unless the function gives finite points, closes if it should, and runs counter-clockwise.
 
@@ -191,8 +199,8 @@ def _check(contour: Parametric) -> None:
         low, high, was = told_apart(*span, origin)
         raise ValueError(f"argument origin must lie within [{low}, {high}], but was {was}")
     places = jnp.linspace(span[0], span[1], _LOOKED_AT)
-    points = concrete(jax.vmap(lambda u: jnp.asarray(contour.function(u)))(places))
-    if points is None:
+    points, rates = map(concrete, _along(contour.function, places))
+    if points is None or rates is None:
         return
     if not np.all(np.isfinite(points)):
         raise ValueError("argument function must give finite points all over its domain, but did not")
@@ -203,17 +211,9 @@ def _check(contour: Parametric) -> None:
         raise ValueError(f"argument function must end where it began if closed, but ends {apart:.3g} m away")
     if not size > 0 or polygon_area(points[:-1]) <= 0:
         raise ValueError("argument function must run counter-clockwise round its body, but runs clockwise")
-    _check_seam(contour.function, places[jnp.array([0, -1])])
-
-
-def _check_seam(function: Callable[[Any], Any], ends: Array) -> None:
-    """Raise where a closed curve has a corner at its ends: its table would have one tangent at each."""
-    point = lambda u: jnp.asarray(function(u))  # noqa: E731
-    rates = concrete(jax.vmap(lambda u: jax.jvp(point, (u,), (jnp.ones_like(u),))[1])(ends))
-    if rates is None:
-        return
-    first, last = rates
-    # Zero of a curve that stops there, which its table refuses.
+    # A table with a corner would have one tangent at each side. Zero of a curve that stops there, which its
+    # table refuses.
+    first, last = rates[0], rates[-1]
     turn = np.arctan2(last[0] * first[1] - last[1] * first[0], last @ first)
     if abs(turn) > _SMOOTH.of(rates):
         raise ValueError(

@@ -419,14 +419,11 @@ def test_a_grid_too_fine_at_first_is_refused_and_no_noise_is_none():
 
 
 def test_a_surface_bends_no_more_than_its_smoothing_or_is_not_to_be_trusted():
-
-    def verdict(curvature, wavelength, rms, largest):
-        return _surface_fit._verdict(rms, _surface_fit._doubts(curvature, wavelength, rms, largest))
-
+    verdict = lambda *asked: _surface_fit._verdict(*asked)[0]  # noqa: E731
     fine = "the points lie 100 um rms from it, and it bends no more than its smoothing"
     wave = 2.0 * np.pi / 100.0
     assert verdict((-99.0, 99.0), wave, 1e-4, 4.9e-4) == fine
-    assert _surface_fit._doubts((-99.0, 99.0), wave, 1e-4, 4.9e-4) == ()
+    assert _surface_fit._verdict((-99.0, 99.0), wave, 1e-4, 4.9e-4)[1] == ()
     assert (
         verdict((-50.0, 101.0), wave, 1e-4, 0.0)
         == "not to be trusted: it bends with a radius of 9.9 mm; give smallest_radius"

@@ -381,8 +381,9 @@ def test_a_mesh_with_sharp_edges_wants_a_smallest_radius(doubts, curvature, smoo
     if not refused:
         check()
         return
-    words = "coarse faces, as that of tip 'T', but was None: .* trusted, as it encloses no body and it bends"
-    with pytest.raises(ValueError, match=words):
+    words = "argument smallest_radius must be given for .* edges or coarse faces, as that of tip 'T', but was"
+    why = "None: .* not to be trusted, as it encloses no body and it bends with a radius of 1 mm"
+    with pytest.raises(ValueError, match=f"{words} {why}"):
         check()
 
 

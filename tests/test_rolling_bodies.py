@@ -257,6 +257,9 @@ def test_torsion_beside_a_jump_is_that_of_its_own_side():
     assert abs(after - before) > 0.1 * abs(after)
     np.testing.assert_allclose([torsion(0.1), torsion(0.0999)], after, rtol=1e-6)
     np.testing.assert_allclose([torsion(0.10001), torsion(0.10015)], before, rtol=1e-6)
+    single = lambda x: jax.ShapeDtypeStruct(x.shape, np.float32)  # noqa: E731
+    told = jax.eval_shape(_loci, *jax.tree.map(single, (pushed(0.1), jnp.array([0.1]), states)))
+    assert {x.dtype for x in jax.tree.leaves(told)} == {np.dtype(np.float32)}
 
 
 def test_a_straight_locus_has_no_torsion_and_hinders_no_derivative():

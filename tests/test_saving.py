@@ -214,7 +214,7 @@ def test_a_field_that_is_new_takes_its_default(run, tmp_path):
     assert_same(found.states, run[2].states)
 
 
-def test_files_that_are_damaged_are_said(tmp_path):
+def test_files_that_are_damaged_are_said(tmp_path, monkeypatch):
     path = jxr.save(tmp_path / "c", CONTOUR)
     whole = path.read_bytes()
     entry = whole.rindex(b"PK\x01\x02")  # in the list of an archive: version, password
@@ -238,8 +238,9 @@ def test_files_that_are_damaged_are_said(tmp_path):
     with pytest.raises(ValueError, match="there is none called"):
         jxr.load(tmp_path / "absent")
     (tmp_path / "table.csv").write_text("1,2")
-    with pytest.raises(ValueError, match="`jaxroll.save` wrote, whose name ends in .npz, but was "):
-        jxr.load(tmp_path / "table.csv")
+    monkeypatch.chdir(tmp_path)  # a long path is quoted without its end
+    with pytest.raises(ValueError, match="`jaxroll.save` wrote, whose name ends in .npz, but was '.*csv'"):
+        jxr.load("table.csv")
 
 
 @pytest.mark.parametrize("name", ["os:system", "jaxroll._saving:importlib.import_module", "nothing:here"])

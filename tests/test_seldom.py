@@ -252,11 +252,7 @@ def test_motions_that_do_not_fit_their_grasp():
 
 def test_the_verdict_on_a_fitted_surface_names_what_speaks_against_it():
     """A bend sharper than waves of the smoothing have, or a point far off; a fit with neither is praised."""
-
-    def verdict(curvature, largest, turned=0.0):
-        doubts = _surface_fit._doubts(curvature, 0.02, 1e-5, largest, turned=turned)
-        return _surface_fit._verdict(1e-5, doubts, misled=turned > 1.0)
-
+    verdict = lambda bends, far, **more: _surface_fit._verdict(bends, 0.02, 1e-5, far, **more)[0]  # noqa: E731
     good = verdict((-50.0, 200.0), 5e-5)
     assert good == "the points lie 10 um rms from it, and it bends no more than its smoothing"
     sharp = verdict((-400.0, 200.0), 5e-5)

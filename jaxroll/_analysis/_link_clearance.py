@@ -88,12 +88,10 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
     if not chains:
         raise ValueError("argument grasp must have fingers with links, but had none")
     pairs = tuple(itertools.combinations(chains, 2))
-    # At NaN the distance of a link from an object is one of minus infinity.
-    reached = np.isfinite(np.asarray(trajectory.states.q)).all(axis=1, keepdims=True)
-    away, apart = (jnp.where(reached, x, jnp.nan) for x in _distances(grasp, trajectory.states))
+    away, apart = _distances(grasp, trajectory.states)
     both = np.concatenate([np.asarray(away), np.asarray(apart)], axis=1)
     names = [f"finger {i} and the object" for i in chains] + [f"fingers {i} and {j}" for i, j in pairs]
-    if not reached.any():
+    if np.isnan(both).all():
         return LinkClearance(trajectory.ts, away, apart, pairs, np.nan, np.nan, "no state was saved")
     when, which = np.unravel_index(np.nanargmin(both), both.shape)
     least, time = float(both[when, which]), float(np.asarray(trajectory.ts)[when])
@@ -104,7 +102,11 @@ def link_clearance(grasp: Grasp, trajectory: Trajectory) -> LinkClearance:
 def _distances(grasp: Grasp, states: State) -> tuple[Array, Array]:
     """Distances [m] of every finger with links from the object, and of every two of these, state by state."""
     ready = grasp.prepared()
-    return jax.lax.map(lambda state: _at(ready, state), states)
+    found = jax.lax.map(lambda state: _at(ready, state), states)
+    # At NaN the distance of a link from an object is one of minus infinity.
+    reached = jnp.all(jnp.isfinite(states.q), axis=1, keepdims=True)
+    away, apart = (jnp.where(reached, each, jnp.nan) for each in found)
+    return away, apart
 
 
 def _at(grasp: Grasp, state: State) -> tuple[Array, Array]:

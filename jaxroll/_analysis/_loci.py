@@ -196,8 +196,9 @@ def _jets(grasp: Grasp, t: Scalar, state: State) -> tuple[_Jet, _Jet]:
         return jnp.where(step == 0.0, rates, line), (velocities, changes)
 
     apart = _STEP.of(x)
-    places, weights = _differences(grasp, t, apart)
-    _, (velocities, near) = jax.lax.scan(later, jnp.zeros_like(x), apart * places.astype(x.dtype))
+    # In the state's precision: a number of NumPy's is one of double precision, unlike one of Python's.
+    places, weights = (row.astype(x.dtype) for row in _differences(grasp, t, apart))
+    _, (velocities, near) = jax.lax.scan(later, jnp.zeros_like(x), apart * places)
     velocity, acceleration = velocities[0], near[0]
     jerk = total([weight * each for weight, each in zip(weights, near, strict=True)]) / (12.0 * apart)
     points, normals, bends = _frames(grasp, unpack(lay, x)[0], velocity)

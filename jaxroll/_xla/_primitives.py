@@ -24,6 +24,8 @@ from ._stored import stored
 
 _BARRIER, _MARK, _MAP = jec.Primitive("barrier"), jec.Primitive("mark"), jec.Primitive("linear_map")
 _MAP.multiple_results = True
+# What is said, after its name, of a result of which a second derivative is asked.
+ONCE = "has first derivatives only: for second ones take differences of its gradient"
 
 
 def barrier(x: Any) -> jax.Array:
@@ -158,9 +160,7 @@ def _compiled(context: mlir.LoweringRuleContext, *args: Any, **params: Any) -> A
 def _tangents(primals: Sequence[Any], dots: Sequence[Any], **params: Any) -> tuple[Any, Any]:
     fixed = params["fixed"]
     if not all(type(dot) is ad.Zero for dot in dots[:fixed]):
-        raise NotImplementedError(
-            "this result has first derivatives only: for second ones take differences of its gradient"
-        )
+        raise NotImplementedError(f"this result {ONCE}")
     filled = map(ad.instantiate_zeros, dots[fixed:])
     return _MAP.bind(*primals, **params), _MAP.bind(*primals[:fixed], *filled, **params)
 

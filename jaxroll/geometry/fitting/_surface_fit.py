@@ -349,7 +349,8 @@ def _reported(
     rms, largest = float(np.sqrt(np.mean(distances**2))), float(distances.max())
     turned = None if given is None else angles(normals, given[each])
     off = 0.0 if turned is None else turned[0]
-    doubts = _doubts(curvature, wavelength, rms, largest, turned=off, closed=_is_closed(surface))
+    closed = _is_closed(surface)
+    verdict, doubts = _verdict(curvature, wavelength, rms, largest, turned=off, closed=closed)
     report = SurfaceReport(
         points=len(cloud),
         area=float(problem.areas.sum()),
@@ -361,7 +362,7 @@ def _reported(
         normals=turned,
         curvature=curvature,
         smoothness=surface.smoothness,
-        verdict=_verdict(rms, doubts, misled=off > _ASTRAY),
+        verdict=verdict,
         doubts=doubts,
         reach=3.0 * spacing,
         tolerance=max(_FAR * rms, 1e-3 * wavelength),
@@ -376,7 +377,7 @@ def _is_closed(surface: SplineSurface) -> bool:
     return bool(values.min() > 0.0)
 
 
-def _doubts(
+def _verdict(
     curvature: tuple[float, float],
     wavelength: float,
     rms: float,
@@ -384,11 +385,15 @@ def _doubts(
     *,
     turned: float = 0.0,
     closed: bool = True,
-) -> tuple[str, ...]:
-    """What a surface of one wavelength is not like its points in; `turned`: from given normals, rms [rad]."""
+) -> tuple[str, tuple[str, ...]]:
+    """Whether a surface of one wavelength looks like its points, and what speaks against it, by clauses.
+
+    `turned`: from given normals, rms [rad].
+    """
     if turned > _ASTRAY:
         off = f"its normals are {np.degrees(turned):.3g} degrees rms off those given"
-        return (f"{off}, which do not all point out of one body",)
+        doubts = (f"{off}, which do not all point out of one body",)
+        return f"not to be trusted: {doubts[0]}; without them they are found from the points", doubts
     signs = [] if closed else ["it encloses no body"]
     # No wave that smoothing leaves is shorter than its wavelength by much; its sharpest bend has a radius
     # about that over 2 pi.
@@ -397,12 +402,6 @@ def _doubts(
         signs.append(f"it bends with a radius of {1e3 / sharpest:.3g} mm")
     if largest > _FAR * rms and largest > 0.05 * wavelength:
         signs.append(f"a point is {1e3 * largest:.3g} mm off it")
-    return tuple(signs)
-
-
-def _verdict(rms: float, doubts: tuple[str, ...], *, misled: bool = False) -> str:
-    """Whether the surface can be trusted, and what to do if not; `misled` by the normals that were given."""
-    if not doubts:
-        return f"the points lie {1e6 * rms:.3g} um rms from it, and it bends no more than its smoothing"
-    remedy = "without them they are found from the points" if misled else "give smallest_radius"
-    return f"not to be trusted: {' and '.join(doubts)}; {remedy}"
+    if not signs:
+        return f"the points lie {1e6 * rms:.3g} um rms from it, and it bends no more than its smoothing", ()
+    return f"not to be trusted: {' and '.join(signs)}; give smallest_radius", tuple(signs)

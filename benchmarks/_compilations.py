@@ -2,7 +2,8 @@
 
 `benchmarks.suite` runs `pytest -p benchmarks._compilations`. JAX reports every trace, lowering and
 compilation with its duration when it ends. A trace within another one is reported too, so that durations are
-not added up: what counts is the time that their intervals cover.
+not added up: what counts is the time that their intervals cover. Programs that take long to compile are
+counted apart.
 """
 
 import json
@@ -20,6 +21,8 @@ _PHASES = {
     "jaxpr_to_mlir_module_duration": "lowering",
     "backend_compile_duration": "compiling",
 }
+# A program that takes at least as much to compile is a long one [s].
+LONG = 0.2
 _intervals: dict[str, list[tuple[float, float]]] = {name: [] for name in _PHASES.values()}
 
 
@@ -47,4 +50,6 @@ def pytest_sessionfinish() -> None:
     folder = os.environ.get("JAXROLL_COMPILATIONS")
     if folder is not None:
         found = {phase: [covered(each), len(each)] for phase, each in _intervals.items()}
+        long = [(start, end) for start, end in _intervals["compiling"] if end - start >= LONG]
+        found["long"] = [covered(long), len(long)]
         pathlib.Path(folder, f"{os.getpid()}.json").write_text(json.dumps(found))

@@ -13,6 +13,7 @@ import tempfile
 from typing import Any
 
 from benchmarks._common import clocked, command, device, judged, table, uncached, versions, yardstick
+from benchmarks._compilations import LONG
 
 # What is asked of the default tests [s], on as many cores as they have processes.
 ASKED, PROCESSES = 420.0, 2
@@ -41,8 +42,10 @@ def report(quick: bool = False) -> str:
     found = measure(*(["tests/test_signs.py"] if quick else []))
     after = yardstick()
     phases = found["phases"]
+    long_spent, long_count = phases.pop("long")
     rest = PROCESSES * found["wall"] - sum(seconds for seconds, _ in phases.values())
     rows = [[name, f"{seconds:.0f}", str(count)] for name, (seconds, count) in phases.items()]
+    rows += [[f"of that, programs that take {LONG} s and more", f"{long_spent:.0f}", str(long_count)]]
     rows += [["all else: runs, pictures, files, imports, collecting", f"{rest:.0f}", ""]]
     said = f"{found['wall']:.0f} s in {PROCESSES} processes (asked: {judged(found['wall'], ASKED)})"
     text = [

@@ -346,6 +346,26 @@ def test_what_is_found_and_how_sure_it_is_in_closed_form(without_runs):
         identified(measured[:1])
 
 
+def test_other_data_at_the_same_times_are_the_same_program(without_runs, monkeypatch):
+    """Data and noise are arguments: as constants they would be compiled anew in every process."""
+    identified, _ = without_runs
+    texts = set()
+
+    def jitted(function):
+        program = jax.jit(function)
+
+        def call(*given):
+            texts.add(program.lower(*given).as_text())
+            return program(*given)
+
+        return call
+
+    monkeypatch.setattr(_identify, "jax", SimpleNamespace(**vars(jax) | {"jit": jitted}))
+    first = identified(np.array([1.0, -1.3, 1.2]), noise=0.1)
+    second = identified(np.array([1.1, -1.4, 1.1]), noise=0.2)
+    assert first.values != second.values and len(texts) == 1
+
+
 def test_what_a_law_holds_is_seen_as_it_is_now(monkeypatch):
     """The list from which a law has its force; accelerations, whose trace JAX keeps as it does a run's."""
     force, rate, damping, radius = [0.0], 0.4, 0.6, rolling_disc.RADIUS

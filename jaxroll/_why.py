@@ -224,7 +224,7 @@ def _start(run: Trajectory) -> tuple[State, Scalar]:
     """The first state that a run saved, and its time [s]; its last ones where none was saved."""
     check_one_run("state", run)
     # Rows of times that the run did not reach are NaN.
-    saved = np.isfinite(np.asarray(run.states.q)).all(axis=1)
+    saved = np.asarray(run.reached)
     if not saved.any():
         return run.last, run.stats.t_end
     first = int(np.argmax(saved))

@@ -312,10 +312,9 @@ def test_a_film_of_a_long_run_takes_twelve_seconds(saved, tmp_path, monkeypatch,
 
 def test_a_film_is_as_long_as_the_run_not_as_what_was_asked_of_it():
     """Asked up to 100 s, ended after 3 s; and nothing reached at all."""
-    q = np.array([[1.0, 2.0], [1.0, 2.0], [np.nan, np.nan]])
-    run = SimpleNamespace(ts=np.array([0.0, 3.0, 100.0]), states=SimpleNamespace(q=q))
+    run = SimpleNamespace(ts=np.array([0.0, 3.0, 100.0]), reached=np.array([True, True, False]))
     assert _run_pictures.pace(run, 1.0, 12.0) == 1.0 and _run_pictures.pace(run, 0.1, 12.0) == 0.25
-    lost = SimpleNamespace(ts=run.ts, states=SimpleNamespace(q=np.nan * q))
+    lost = SimpleNamespace(ts=run.ts, reached=np.array([False, False, False]))
     assert _run_pictures.pace(lost, 0.5, 12.0) == 0.5
 
 
@@ -338,12 +337,11 @@ def test_a_run_in_space_with_one_state_is_drawn_without_its_loci(monkeypatch):
     drawn = ("poses", "responses", "loci")
     for name in drawn:
         monkeypatch.setattr(_run_pictures.plotting, name, lambda *_, name=name, **options: name)
-    states = lambda *rows: SimpleNamespace(q=np.array(rows))  # noqa: E731
-    run = lambda *rows: SimpleNamespace(ts=np.arange(2.0), states=states(*rows), multipliers=None)  # noqa: E731
+    run = lambda *there: SimpleNamespace(ts=np.arange(2.0), reached=np.array(there), multipliers=None)  # noqa: E731
     space, plane = SimpleNamespace(spatial=True), SimpleNamespace(spatial=False)
-    assert list(_run_pictures.run_pictures(space, run([1.0], [2.0])).values()) == list(drawn)
-    assert list(_run_pictures.run_pictures(space, run([1.0], [np.nan])).values()) == list(drawn[:2])
-    assert list(_run_pictures.run_pictures(plane, run([1.0], [2.0])).values()) == list(drawn[:2])
+    assert list(_run_pictures.run_pictures(space, run(True, True)).values()) == list(drawn)
+    assert list(_run_pictures.run_pictures(space, run(True, False)).values()) == list(drawn[:2])
+    assert list(_run_pictures.run_pictures(plane, run(True, True)).values()) == list(drawn[:2])
 
 
 WORDS = {

@@ -1659,7 +1659,8 @@ def test_what_has_moved_since_the_first_state_is_told_body_by_body():
     """A free object, a jaw and a finger; the first state was not reached."""
     q = np.arange(21.0).reshape(3, 7) ** 2
     q[0] = NAN
-    run: Any = SimpleNamespace(ts=np.array([0.0, 0.25, 0.5]), states=SimpleNamespace(q=q, v=q + 1.0))
+    states, there = SimpleNamespace(q=q, v=q + 1.0), np.array([False, True, True])
+    run: Any = SimpleNamespace(ts=np.array([0.0, 0.25, 0.5]), states=states, reached=there)
     grasp = SimpleNamespace(sizes=(3, 1, 3), fingers=[finger(1, "m"), finger(3, "rad")])
     turned, path, jaw, arm = _panels._moved(grasp, run)
     then = r"0.25\,\mathrm{s}"

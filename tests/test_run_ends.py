@@ -354,6 +354,9 @@ def test_rows_that_a_run_did_not_reach_are_filled():
     np.testing.assert_array_equal(
         full.residuals.tangency[:, :, 0], [[5.0, 15.0, 25.0], [5.0, 15.0, 15.0], [0, 0, 0]]
     )
+    there = [[True, True, True], [True, True, False], [False, False, False]]
+    assert trajectory(lanes).reached.tolist() == there
+    assert jax.jit(lambda run: run.reached)(trajectory(lanes)).tolist() == there
     alone = fill(trajectory(lanes[1]))
     np.testing.assert_array_equal(alone.states.q, [[1.0, 2.0], [3.0, 4.0], [9.0, 9.0]])
     np.testing.assert_array_equal(alone.energy.work, [3.0, 9.0, 9.0])

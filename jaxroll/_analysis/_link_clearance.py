@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._integration import link_distances, Trajectory
-from .._mechanics import compiled, Grasp, State, to_leaves
+from .._mechanics import compiled, Grasp, reached, State, to_leaves
 from .._printing import listed
 from .._results import on_host
 from .._types import Times
@@ -104,8 +104,8 @@ def _distances(grasp: Grasp, states: State) -> tuple[Array, Array]:
     ready = grasp.prepared()
     found = jax.lax.map(lambda state: _at(ready, state), states)
     # At NaN the distance of a link from an object is one of minus infinity.
-    reached = jnp.all(jnp.isfinite(states.q), axis=1, keepdims=True)
-    away, apart = (jnp.where(reached, each, jnp.nan) for each in found)
+    there = reached(states)[:, None]
+    away, apart = (jnp.where(there, each, jnp.nan) for each in found)
     return away, apart
 
 

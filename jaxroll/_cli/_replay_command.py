@@ -71,7 +71,7 @@ def _until(run: Trajectory, until: float) -> Trajectory:
         ValueError: If fewer than two states were saved by then, or the run ended before.
     """
     ts = np.asarray(run.ts)
-    reached = np.isfinite(np.asarray(run.states.q)).all(axis=-1)
+    reached = np.asarray(run.reached)
     first, last = float(ts[reached].min(initial=np.inf)), float(ts[reached].max(initial=-np.inf))
     count = int(np.sum(reached & (ts <= until)))
     if until > last or count < 2:

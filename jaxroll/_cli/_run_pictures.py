@@ -28,4 +28,4 @@ def pace(run: Trajectory, least: float, longest: float) -> float:
 
 def times_reached(run: Trajectory) -> np.ndarray:
     """The saved times that a run reached [s]."""
-    return np.asarray(run.ts)[np.isfinite(np.asarray(run.states.q)).all(axis=-1)]
+    return np.asarray(run.ts)[np.asarray(run.reached)]

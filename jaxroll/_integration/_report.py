@@ -93,7 +93,7 @@ def report(run: Any, remedies: Mapping[str, str] = REMEDIES) -> str:
     if _code(run):
         lines += entry("ended", [cause(run)])
         lines += entry("remedy", [remedies.get(code_name(run.result), "none known")])
-    saved = _reached(run.states.q)
+    saved = np.asarray(run.reached)
     stats, end = run.stats, f"ended at {float(run.stats.t_end):.6g} s"
     if saved.any():
         ts = np.asarray(run.ts)[saved]
@@ -198,10 +198,6 @@ def amount(value: float, unit: str, *, signed: bool = False) -> str:
 
 def _code(run: Any) -> int:
     return int(concrete(run.result._value))  # pyright: ignore[reportArgumentType]
-
-
-def _reached(q: Any) -> np.ndarray:
-    return np.asarray(np.isfinite(np.asarray(q)).all(axis=-1))
 
 
 def peak(*arrays: Any) -> float:

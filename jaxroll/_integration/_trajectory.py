@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from .._mechanics import check_not_cut, Labels, State
+from .._mechanics import check_not_cut, Labels, reached, State
 from .._motion import Energy, Multipliers, Residuals
 from .._printing import code_name, listed, so_many
 from .._results import as_array, check_instance, is_array_like, RESULTS, shown, traced
@@ -132,6 +132,19 @@ class Trajectory(eqx.Module):
         check_not_cut("run", (self.ts.dtype,))
         return states_at(self.dense, as_array("t", t).astype(self.ts.dtype))
 
+    @property
+    def reached(self) -> Bool[Array, " t"]:
+        """Which of the saved times the run reached, shape (t,): the rows of the others are NaN.
+
+        Example:
+            >>> import jaxroll as jxr
+            >>> grasp, state = jxr.scenes.pivoted()
+            >>> run = jxr.simulate(grasp, state, 1.0, ts=5, max_steps=30, throw=False)
+            >>> run.reached.tolist(), bool(run.ts[run.reached][-1] < run.stats.t_end)
+            ([True, True, False, False, False], True)
+        """
+        return jnp.asarray(reached(self.states))
+
     def filled(self) -> "Trajectory":
         r"""The same run with finite rows after an early end, for losses that an optimiser follows.
 
@@ -200,25 +213,25 @@ class Trajectory(eqx.Module):
 @quickly
 def _all_filled(last: State, states: State, *others: Any) -> tuple[Any, ...]:
     """Rows of states, and others beside them, as `Trajectory.filled` has them."""
-    reached = jnp.all(jnp.isfinite(states.q), axis=-1)
+    there = reached(states)
     # Lanes of a batch come before the axis of times.
-    count = jnp.sum(reached, axis=-1)
+    count = jnp.sum(there, axis=-1)
 
     def held(rows: Array) -> Array:
-        axis = reached.ndim - 1
+        axis = there.ndim - 1
         at = jnp.expand_dims(jnp.maximum(count - 1, 0), range(axis, rows.ndim))
         end = jnp.take_along_axis(rows, at, axis=axis).squeeze(axis)
         some = (count > 0).reshape(*count.shape, *(1,) * (end.ndim - count.ndim))
-        return _filled(reached, rows, jnp.where(some, end, 0.0))
+        return _filled(there, rows, jnp.where(some, end, 0.0))
 
-    stood = jax.tree.map(lambda rows, end: _filled(reached, rows, end), states, last)
+    stood = jax.tree.map(lambda rows, end: _filled(there, rows, end), states, last)
     return stood, *jax.tree.map(held, others)
 
 
-def _filled(reached: Array, rows: Array, end: Array) -> Array:
-    """Rows along time, the ones not reached replaced by `end`; lanes may come before."""
-    axis = reached.ndim - 1
-    mask = reached.reshape(*reached.shape, *(1,) * (rows.ndim - reached.ndim))
+def _filled(there: Array, rows: Array, end: Array) -> Array:
+    """Rows along time, the ones that are not `there` replaced by `end`; lanes may come before."""
+    axis = there.ndim - 1
+    mask = there.reshape(*there.shape, *(1,) * (rows.ndim - there.ndim))
     return jnp.where(mask, rows, jnp.expand_dims(end, axis))
 
 

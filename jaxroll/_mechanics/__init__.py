@@ -48,6 +48,7 @@ from ._state import (
     Form as Form,
     join as join,
     Leaves as Leaves,
+    reached as reached,
     split as split,
     State as State,
     to_leaves as to_leaves,

@@ -13,11 +13,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._linalg import scalars
 from .._printing import listed
-from .._results import as_array, shown
+from .._results import as_array, shown, traced
 from .._types import Given, Scalars
 
 Blocks = tuple[Scalars, ...]
@@ -73,6 +73,12 @@ class State(eqx.Module):
     def __repr__(self) -> str:
         # Most states have no memory.
         return listed(self).replace(", memory=None", "")
+
+
+def reached(states: State) -> Bool[Array, "..."]:
+    """Which of some saved states a run reached: those of other times are NaN. NumPy's where it is known."""
+    xp: Any = jnp if traced(states.q) else np
+    return xp.isfinite(states.q).all(axis=-1)
 
 
 def _as_row(name: str, value: Any) -> Array:

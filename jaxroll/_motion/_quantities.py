@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._linalg import inner, plus, stacked, total, Vec2, Vec3
-from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, join, Leaves, State, to_leaves
+from .._mechanics import Blocks, compiled_for_many, Grasp, Inertia, join, Leaves, reached, State, to_leaves
 from .._printing import listed
 from .._results import as_array
 from .._types import Scalar, Scalars
@@ -223,8 +223,8 @@ def of_reached(function: Callable, states: State, start: State) -> Any:
     The function itself is given `start` in their place. At NaN its derivative would be NaN, and in reverse
     mode the product of that with the zero cotangent of these rows would be NaN too.
     """
-    reached = jnp.all(jnp.isfinite(states.q), axis=-1)
-    where = lambda a, b: jnp.where(reached.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
+    there = reached(states)
+    where = lambda a, b: jnp.where(there.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
     found = function(jax.tree.map(where, states, start))
     return jax.tree.map(lambda a: where(a, jnp.nan), found)
 

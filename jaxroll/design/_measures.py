@@ -268,7 +268,7 @@ def _checked(run: Trajectory, signal: Signal | None) -> Array:
 def _reached(run: Trajectory, signal: Signal | None) -> tuple[Array, Array]:
     """Which saved states were reached, shape (t,), and the signal, shape (t, k), zero where they were not."""
     y = _checked(run, signal)
-    seen = jnp.all(jnp.isfinite(y), axis=-1) & jnp.all(jnp.isfinite(run.states.q), axis=-1)
+    seen = jnp.all(jnp.isfinite(y), axis=-1) & run.reached
     return seen, jnp.where(seen[:, None], y, 0.0)
 
 

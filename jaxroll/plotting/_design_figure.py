@@ -267,7 +267,7 @@ def _rolled(run: Trajectory, s: np.ndarray) -> list[tuple[int, np.ndarray]]:
 
 
 def _responses(axes: np.ndarray, run: Trajectory, name: str, colour: str) -> None:
-    ts, reached = np.asarray(run.ts), np.isfinite(np.asarray(run.states.q)).all(axis=1)
+    ts, reached = np.asarray(run.ts), np.asarray(run.reached)
     assert run.multipliers is not None
     if not reached.any():
         return

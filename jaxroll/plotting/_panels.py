@@ -186,8 +186,7 @@ def _both(symbol: str) -> tuple[str, str]:
 
 def first_of(run: Trajectory) -> str:
     """The first saved time, since which motion is counted, as the argument of a symbol."""
-    reached = np.isfinite(np.asarray(run.states.q)).all(axis=1)
-    t = float(np.asarray(run.ts)[reached][0])
+    t = float(np.asarray(run.ts)[np.asarray(run.reached)][0])
     return f"{t:.4g}" + r"\,\mathrm{s}" * (t != 0.0)
 
 

@@ -64,19 +64,19 @@ def single(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         ValueError: If the trajectory is a batch, or holds no state at all.
     """
     check_one_run("trajectory", trajectory)
-    reached = np.isfinite(np.asarray(trajectory.states.q)).all(axis=1)
+    reached = np.asarray(trajectory.reached)
     if not reached.any():
         raise ValueError(
             f"argument trajectory must hold at least one state that was reached, but its run ended at "
             f"t = {float(trajectory.stats.t_end):.4g} s ({code_name(trajectory.result)}) before the first"
         )
-    return np.asarray(trajectory.ts), np.asarray(reached)
+    return np.asarray(trajectory.ts), reached
 
 
 def visible(grasp: Grasp, trajectory: Trajectory) -> Trajectory:
     """The run; if it ended before a state was saved, a run of the one state that it has: where it ended."""
-    q = np.asarray(trajectory.states.q)
-    if q.ndim != 2 or np.isfinite(q).all(axis=1).any() or not np.isfinite(trajectory.last.q).all():
+    reached = np.asarray(trajectory.reached)
+    if reached.ndim != 1 or reached.any() or not np.isfinite(trajectory.last.q).all():
         return trajectory
     ts, states = np.asarray(trajectory.stats.t_end)[None], along_time(trajectory.last)
     forces = None if trajectory.multipliers is None else multipliers(grasp, jnp.asarray(ts), states)

@@ -48,7 +48,8 @@ def made(**changes):
         "multipliers": SimpleNamespace(f=F, lam=LAM, spin=None),
         "energy": None,
     }
-    return SimpleNamespace(**(run | changes))
+    run |= changes
+    return SimpleNamespace(**run, reached=~np.isnan(run["states"].q).any(axis=1))
 
 
 def ended(code, *, t=0.625, contact=1, margin=-0.25, **changes):

@@ -359,7 +359,7 @@ def test_which_posture_is_taken(case, turned, monkeypatch):
     monkeypatch.setattr(_choice, "_clearances", lambda *_: seen)
     found = _postures.Postures(q[order], np.zeros((2, 1, 1)), np.zeros(2), np.zeros(2))
     wish = _choice.Wish(0, None, None, -np.inf)
-    one, overlap, away = _choice._best(None, found, wish, None)
+    one, overlap, away = _choice._best(SimpleNamespace(length=0.1), found, wish, None)
     assert one.q.tolist() == [q[wanted].tolist()]
     assert (overlap, away) == (overlaps[wanted], links[wanted])
 
@@ -370,7 +370,7 @@ def test_of_postures_whose_links_meet_the_object_that_is_taken_that_does_so_leas
     )
     seen = (np.zeros(3), np.array([1e-3, 2e-3, 5e-3]), np.zeros(3))
     monkeypatch.setattr(_choice, "_clearances", lambda *_: seen)
-    reacher = SimpleNamespace(finger=SimpleNamespace(turns=True))
+    reacher = SimpleNamespace(finger=SimpleNamespace(turns=True), length=0.1)
     # With a guess the nearest of those that stay clear, without it the farthest away; if none does, the best.
     for guess, radius, wanted in (
         (0.0, 1.5e-3, 0.2),

@@ -458,7 +458,7 @@ def test_origins_of_tips_are_the_ends_of_the_links():
 # Which posture is taken, and what is said where none is.
 
 
-def chosen(monkeypatch, found, wish=None, *, clear=None, touches=None, targets=1, later=None):
+def chosen(monkeypatch, found, wish=None, *, clear=None, touches=None, targets=1, later=None, length=0.1):
     """The choice among postures that a search is said to find, of which some are said to touch."""
     answers = [found] + ([] if later is None else [later])
     monkeypatch.setattr(_choice, "searched_postures", lambda *_: answers.pop(0))
@@ -468,7 +468,7 @@ def chosen(monkeypatch, found, wish=None, *, clear=None, touches=None, targets=1
     seen = lambda reacher, some, _: (overlaps[: len(some.q)], links[: len(some.q)], links[: len(some.q)])  # noqa: E731
     monkeypatch.setattr(_choice, "_clearances", seen)
     finger = SimpleNamespace(joints=2, turns=True, base=np.array([0.01, 0.02]))
-    reacher = SimpleNamespace(finger=finger, length=0.1, free=np.array([True, True]))
+    reacher = SimpleNamespace(finger=finger, length=length, free=np.array([True, True]))
     points = np.array([[0.04, 0.06], [0.07, 0.10]])[:targets]
     wish = wish or _choice.Wish(0, None, None, -np.inf)
     return _choice.chosen_posture(reacher, _postures.TouchPoints(points, 0.0 * points), wish, None)
@@ -542,6 +542,10 @@ def test_overlaps_and_links_that_meet_are_told(monkeypatch):
         assert (one.code, one.overlap, one.links, one.count) == (code, overlap, links, 1)
         assert (str(links) in one.reason) == (code == "links_meet")
         assert (f"overlaps the object by {overlap:.3g} m" in one.reason) == (code == "penetration")
+    # What an overlap is, the size of the finger says.
+    for length, code in ((0.12, "successful"), (0.1e-3, "penetration")):
+        one = chosen(monkeypatch, stands(JOINTS[:1]), length=length, clear=(np.array([1.1e-7]), np.ones(1)))
+        assert one.code == code
 
 
 def test_postures_are_looked_at_some_at_a_time_until_one_overlaps_nothing(monkeypatch):
@@ -554,7 +558,7 @@ def test_postures_are_looked_at_some_at_a_time_until_one_overlaps_nothing(monkey
         return overlaps, 0.02 + some.q[:, 0], some.q[:, 0]
 
     monkeypatch.setattr(_choice, "_clearances", seen)
-    reacher = SimpleNamespace(finger=SimpleNamespace(turns=True))
+    reacher = SimpleNamespace(finger=SimpleNamespace(turns=True), length=0.1)
     many = stands(np.arange(40, 0, -1)[:, None] / 10)
     wish = _choice.Wish(0, np.array([0.0]), None, 0.0)
     one, overlap, links = _choice._best(reacher, many, wish, None)
@@ -653,6 +657,11 @@ def test_points_of_an_object_are_given_by_themselves_or_by_places():
     _reach._foot(solid, 1, np.array([0.1011, 0.0]))
     with pytest.raises(ValueError, match=r"argument contacts must be points of the object.* 0.0013 m from"):
         _reach._foot(solid, 1, np.array([0.1013, 0.0]))
+    # So it is however far from the body's origin its faces lie.
+    away = _overlap.sampled_object([sheet_of(x.moved((50.0, -20.0))) for x in body.contours], 0.1)
+    _reach._foot(away, 1, np.array([50.1011, -20.0]))
+    with pytest.raises(ValueError, match=r"argument contacts must be points of the object.* 0.0013 m from"):
+        _reach._foot(away, 1, np.array([50.1013, -20.0]))
     targets = _reach._targets(grasp, faces, at, np.array([0.3, -0.2, 0.4]))
     points = np.array([[0.1, 0.013], 0.02 * ways(0.2)[0]])
     normals = np.array([[1.0, 0.0], ways(0.2)[0]])

@@ -24,8 +24,8 @@ from ._postures import (
     unwound,
 )
 
-# An overlap below this is the contact itself [m].
-_TOLERANCE = 1e-7
+# An overlap below this share of a finger's length is the contact itself.
+_TOLERANCE = 1e-6
 # Lengths and angles that differ by less are the same: rounding must not choose between postures.
 _EQUAL = 1e-9
 # Points on each link.
@@ -78,9 +78,10 @@ def chosen_posture(
         reason = f"only postures whose last joint has the other sign than elbow={wish.elbow} touch"
         return Choice(fair.taken([0]), "unreachable", reason, 0.0, np.inf, len(good.q))
     one, overlap, links = _best(reacher, sided, wish, object_)
-    if overlap <= _TOLERANCE and links >= wish.link_radius:
+    touches = overlap <= _TOLERANCE * reacher.length
+    if touches and links >= wish.link_radius:
         return Choice(one, "successful", "", overlap, links, len(good.q))
-    if overlap <= _TOLERANCE:
+    if touches:
         reason = f"its links come within {links:.3g} m of the object in every posture"
         return Choice(one, "links_meet", reason, overlap, links, len(good.q))
     reason = f"its tip overlaps the object by {overlap:.3g} m or more in every posture"
@@ -96,7 +97,7 @@ def judged_posture(
     wrong = ("successful", "")
     if links < wish.link_radius:
         wrong = ("links_meet", f"its links come within {links:.3g} m of the object")
-    if overlap > _TOLERANCE:
+    if overlap > _TOLERANCE * reacher.length:
         wrong = ("penetration", f"its tip overlaps the object by {overlap:.3g} m")
     if wish.elbow * q[-1:].sum() < 0.0:
         wrong = ("unreachable", f"its last joint has the other sign than elbow={wish.elbow}")
@@ -122,6 +123,7 @@ def _best(
         away = np.linalg.norm((found.q - wish.guess) / scale, axis=1)
         found = found.taken(np.argsort(away, kind="stable"))
     best: tuple[Postures, float, float] | None = None
+    least = _TOLERANCE * reacher.length
     for begin in range(0, len(found.q), _JUDGED):
         some = found.taken(slice(begin, begin + _JUDGED))
         overlaps, links, average = _clearances(reacher, some, object_)
@@ -129,11 +131,11 @@ def _best(
         away = [-links, -average, np.abs(some.q).sum(axis=1), *some.q.T]
         costs = [np.round(cost / _EQUAL) for cost in away] if wish.guess is None else []
         meets = np.maximum(np.round((wish.link_radius - links) / _EQUAL), 0.0)
-        i = int(np.lexsort((*costs[::-1], meets, np.maximum(overlaps, _TOLERANCE)))[0])
+        i = int(np.lexsort((*costs[::-1], meets, np.maximum(overlaps, least)))[0])
         worse = best is not None and (best[1], -best[2]) <= (overlaps[i], -links[i])
         if best is None or not worse:
             best = some.taken([i]), float(overlaps[i]), float(links[i])
-        if best[1] <= _TOLERANCE and best[2] >= wish.link_radius:
+        if best[1] <= least and best[2] >= wish.link_radius:
             break
     assert best is not None
     return best

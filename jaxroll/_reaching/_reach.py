@@ -37,8 +37,9 @@ from ._overlap import sampled_object, SampledObject
 from ._postures import poses_at, Reacher, TouchPoints
 from ._sheet import Sheet, sheet_of
 
-# A point given counts as one of the object if it is off by no more than this share of the object's size.
-_NEAR = 0.01
+# A point given counts as one of the object if it is off by no more than this share of the object's size, and
+# so many roundings of its coordinates.
+_NEAR, _ROUNDINGS = 0.01, 64
 # A place not farther than this past an end of its face is at the end [m].
 _AT_END = 1e-9
 # Samples of a fingertip, in the plane and in space.
@@ -292,8 +293,9 @@ def _foot(solid: SampledObject, which: int, point: np.ndarray) -> np.ndarray:
     nearest = solid.places[which][np.argmin(np.linalg.norm(samples - point, axis=1))]
     at = face.feet(point[None], nearest[None], 24)
     away = float(np.linalg.norm(face.frames(at).points[0] - point))
-    size = max(float(np.ptp(np.concatenate(solid.points), axis=0).max()), float(np.abs(point).max()))
-    if not away <= _NEAR * size:
+    size = float(np.ptp(np.concatenate(solid.points), axis=0).max())
+    rounding = _ROUNDINGS * np.finfo(samples.dtype).eps * float(np.abs(point).max())
+    if not away <= _NEAR * size + rounding:
         raise ValueError(
             f"argument contacts must be points of the object, but {shown(point)} is {away:.3g} m from "
             f"face {which}"

@@ -686,6 +686,11 @@ def test_a_run_that_never_began_has_lost_all_of_its_time(monkeypatch, scene):
         return goal.run(None, ())[2]
 
     assert float(lost_by(goal.t1)) == 0.0 and float(lost_by(0.36)) == pytest.approx(0.5)
+    # What is lost is a share of the time that was asked for, wherever the clock begins.
+    goal = ClosedLoop(pivoted_with_tip, {"peak_force": 1.0}, t0=5.0, t1=6.0, ts=13)
+    for end, wanted in ((5.0, 1.0), (5.25, 0.75), (6.0, 0.0)):
+        given.append(eqx.tree_at(lambda r: r.stats.t_end, whole, jnp.asarray(end)))
+        assert float(goal.run(None, ())[2]) == pytest.approx(wanted)
 
 
 def test_an_objective_without_a_value_hides_no_gradient(monkeypatch):

@@ -49,10 +49,10 @@ class ClosedLoop(AbstractGoal):
     r"""Runs of the grasp as they should be: settled soon, without overshoot, with little force or friction.
 
     Every case is simulated, all in one program, and the worst one counts: a smooth upper bound of the
-    largest cost, within $\log n / 50$ of it. A run that ends before `t1` costs $10\,(1 - t_{end}/t_1)$ more,
-    so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of the
-    part that was reached, and an objective of your own counts as zero for a run for which it is NaN. A figure
-    that is reported (`Design.figures`) is NaN if one of the cases does not have it.
+    largest cost, within $\log n / 50$ of it. A run that ends early costs $10\,(t_1 - t_{end})/(t_1 - t_0)$
+    more, so that fingertips which lose the grasp are changed to hold it for longer; its measures are those of
+    the part that was reached, and an objective of your own counts as zero for a run for which it is NaN. A
+    figure that is reported (`Design.figures`) is NaN if one of the cases does not have it.
 
     Args:
         make: From a fingertip, and a case if there are any, to a grasp and a state on its constraints, by JAX
@@ -61,7 +61,7 @@ class ClosedLoop(AbstractGoal):
             'friction_demand', each in one over the measure's unit, so that the sum is of order one. Or a
             function of the grasp and its run that returns such a cost.
         cases: A pytree of arrays with a leading axis: objects, poses, gains. Default: one case.
-        t1: Length of the runs [s].
+        t1: Final time of the runs [s]; positive.
         ts: How many states are saved, evenly spaced; at least two.
         rtol: Relative tolerance of the runs, looser than `simulate`'s own.
         record: What is worked out at the saved times, as for `simulate`. Default: the contact forces, if a
@@ -149,7 +149,7 @@ class ClosedLoop(AbstractGoal):
             closed = run.result != RESULTS.unreachable
             # A difference, which is exactly zero of a whole run: XLA divides by a constant with its inverse,
             # and the quotient of two equal times is then one to rounding alone.
-            lost = jnp.where(closed, (self.t1 - run.stats.t_end) / self.t1, 1.0)
+            lost = jnp.where(closed, (self.t1 - run.stats.t_end) / (self.t1 - self.options.t0), 1.0)
             own = _own(self.objective, grasp, run, lost > 0.0)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 
@@ -175,8 +175,8 @@ class ClosedLoop(AbstractGoal):
         weights = {} if callable(self.objective) else dict(self.objective)
         costs = measured @ jnp.asarray([weights.get(name, 0.0) for name in names]) + own + _LOST * lost
         found = {_COST: jnp.max(costs), _EARLY: jnp.sum(lost > 0.0)}
-        # Of a run that ended where it began, at `t0`, no state was saved.
-        never = lost >= 1.0 - jnp.asarray(self.options.t0) / self.t1
+        # Of a run that ended where it began no state was saved.
+        never = lost >= 1.0 - 2.0 * jnp.finfo(lost.dtype).eps
         for i, name in enumerate(names):
             # The largest value of all cases; NaN where one has none, as `jnp.max` passes NaN on.
             lacking = (lost > 0.0) if name in SETTLED else never

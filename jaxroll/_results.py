@@ -446,6 +446,11 @@ def check_length(name: str, value: Any, most: float) -> None:
         raise ValueError(f"argument {name} must lie between 0 and {limit} m here, but was {was}")
 
 
+def up_to(ts: Any, until: float) -> Any:
+    """Which times come no later than another one, to a millionth of it: sums such as 3 * 0.01 are rounded."""
+    return ts <= until + 1e-6 * abs(until)
+
+
 def told_apart(*values: Any, least: int = 6) -> list[str]:
     """Numbers as texts for one sentence: in `least` digits, or in as many as show that they differ."""
     # A number of single precision keeps its type: as a `float` it would show digits of the conversion.

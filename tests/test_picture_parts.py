@@ -136,6 +136,9 @@ def test_an_animation_shows_what_was_reached_until_a_time():
     assert rows.tolist() == list(range(8)) and ts.tolist() == np.asarray(run.ts)[:8].tolist()
     ts, rows = _animate._shown(run, float(run.ts[3]))
     assert rows.tolist() == [0, 1, 2, 3] and ts[-1] == run.ts[3]
+    # As a caller writes a time, and as it was saved: 0.1 times 3, or in single precision.
+    for until in (np.nextafter(float(run.ts[3]), 0.0), float(np.float32(run.ts[3])) - 1e-9):
+        assert _animate._shown(run, until)[1].tolist() == [0, 1, 2, 3]
     assert _animate._shown(run, 9.0)[1].tolist() == list(range(8))
     with pytest.raises(ValueError, match="argument until must be at least the first saved time"):
         _animate._shown(run, -0.01)

@@ -116,6 +116,10 @@ BAD = {
         ["pinch", "--set", "a=0:1", "--sampling", "adaptive", "--store", "a.zarr"],
         "argument --store must be left out with --sampling adaptive",
     ),
+    "rounds without a code": (
+        ["pinch", "--set", "a=0:1", "--sampling", "adaptive", "--keep", "t_end", "steps"],
+        "argument --keep must have result or first_event .* but was t_end steps",
+    ),
     "workers": (["pinch", "--set", "a=0:1", "--workers", "0"], "must be a whole number between 1 and 1024"),
     "sampling": (["pinch", "--set", "a=0:1", "--sampling", "dense"], "invalid choice: 'dense'"),
     "tolerance": (["pinch", "--set", "a=0:1", "--rtol", "1"], "must lie between 1e-13 and 0.01"),

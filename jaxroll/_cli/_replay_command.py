@@ -13,7 +13,7 @@ import numpy as np
 from .. import plotting
 from .._integration import REMEDIES, report, Trajectory
 from .._mechanics import Grasp
-from .._results import told_apart
+from .._results import told_apart, up_to
 from .._saving import load
 from ._replay_order import ReplayOrder
 from ._run_pictures import pace, run_pictures
@@ -73,8 +73,8 @@ def _until(run: Trajectory, until: float) -> Trajectory:
     ts = np.asarray(run.ts)
     reached = np.asarray(run.reached)
     first, last = float(ts[reached].min(initial=np.inf)), float(ts[reached].max(initial=-np.inf))
-    count = int(np.sum(reached & (ts <= until)))
-    if until > last or count < 2:
+    count = int(np.sum(reached & up_to(ts, until)))
+    if not up_to(until, last) or count < 2:
         begin, end, was = told_apart(first, last, until)
         raise ValueError(
             f"argument --until must be a time by which two states were saved, of a run from {begin} to "

@@ -318,6 +318,11 @@ def _check_sampling(order: SweepOrder) -> None:
             f"argument --{name} must be left out with --sampling adaptive, whose rounds follow from each "
             f"other, but was {getattr(order, name)!r}"
         )
+    if order.sampling == "adaptive" and not {"result", "first_event"} & set(order.keep):
+        raise ValueError(
+            "argument --keep must have result or first_event with --sampling adaptive, which refines where a "
+            f"code changes, but was {' '.join(order.keep)}"
+        )
     if order.sampling in ("sobol", "latin"):
         counted = [name for name, each in ranges.items() if each.count is not None]
         if counted or not ranges:

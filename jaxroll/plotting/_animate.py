@@ -9,6 +9,7 @@ from PIL import Image
 
 from .._integration import Trajectory
 from .._mechanics import Grasp
+from .._results import up_to
 from ._animate3 import animate3
 from ._artists import Drawing, limits
 from ._doors import check_frames, guarded
@@ -113,7 +114,7 @@ def _shown(trajectory: Trajectory, until: float | None) -> tuple[np.ndarray, np.
     """Times and rows of the saved states that were reached, up to a time."""
     ts, reached = single(trajectory)
     if until is not None:
-        reached = reached & (ts <= until)
+        reached = reached & up_to(ts, until)
         if not reached.any():
             raise ValueError(f"argument until must be at least the first saved time, but was {until:g}")
     return ts[reached], np.flatnonzero(reached)

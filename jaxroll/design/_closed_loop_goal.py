@@ -149,7 +149,8 @@ class ClosedLoop(AbstractGoal):
             closed = run.result != RESULTS.unreachable
             # A difference, which is exactly zero of a whole run: XLA divides by a constant with its inverse,
             # and the quotient of two equal times is then one to rounding alone.
-            lost = jnp.where(closed, (self.t1 - run.stats.t_end) / (self.t1 - self.options.t0), 1.0)
+            whole = self.t1 - jnp.asarray(self.options.t0)
+            lost = jnp.where(closed, (self.t1 - run.stats.t_end) / whole, 1.0)
             own = _own(self.objective, grasp, run, lost > 0.0)
             return jnp.stack(measured) if measured else jnp.zeros(0), own, lost
 

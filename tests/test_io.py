@@ -1150,3 +1150,23 @@ def test_vertices_are_alike_within_a_share_of_a_meshs_extent(size, tmp_path):
     path.write_text(_cube("{0}", corners=[(size * x, size * y, size * z) for x, y, z in CORNERS]))
     vertices, _ = jxr.io.read_mesh(path, unit="m")
     np.testing.assert_allclose(np.sort(vertices.ravel()), np.sort(size * np.ravel(CORNERS)), rtol=1e-12)
+
+
+def test_the_unit_at_the_head_of_a_table_must_agree(tmp_path):
+    """As `write_outline` writes it; of other columns, and in remarks without it, nothing is asked."""
+    path = jxr.io.write_outline(jxr.Circle(0.01), tmp_path / "disc.csv", unit="um", tolerance=1e-5)
+    assert np.abs(jxr.io.read_points(path, unit="um")).max() == pytest.approx(0.01)
+    with pytest.raises(
+        ValueError, match="argument unit must agree with disc.csv, whose head states 'um', but"
+    ):
+        jxr.io.read_points(path, unit="mm")
+    path.write_text("a scan in [mm]\nt [s];x [cm];y [cm];z [in]\n0;1;2;3\n1;4;5;7\n")
+    np.testing.assert_allclose(jxr.io.read_points(path, unit="cm", columns=(1, 2))[1], [0.04, 0.05])
+    with pytest.raises(
+        ValueError, match="argument unit must agree with disc.csv, whose head states 'in', but"
+    ):
+        jxr.io.read_cloud(path, unit="cm", columns=(1, 2, 3))
+    path.write_text("# all in [mm] but for x\n1,2\n3,4\n# x [m], y [m]\n")
+    np.testing.assert_allclose(jxr.io.read_points(path, unit="um")[1], [3e-6, 4e-6])
+    np.save(tmp_path / "disc.npy", [[1.0, 2.0]])
+    assert jxr.io.read_points(tmp_path / "disc.npy", unit="um").tolist() == [[1e-6, 2e-6]]

@@ -17,7 +17,7 @@ from ._mesh import read_ply_points
 from ._outline import outline, positive
 from ._paths import as_path, readable, writable
 from ._svg import read_svg, write_svg
-from ._tables import read_csv, read_npy, write_csv
+from ._tables import check_unit, read_csv, read_npy, write_csv
 
 _READ = (".csv", ".txt", ".dat", ".npy", ".svg", ".dxf")
 # Points along an outline of a drawing with curved pieces, unless a caller asks for others.
@@ -41,10 +41,10 @@ def read_points(
     Paths made of straight pieces give their corners, others `samples` points at equal distances; with `fill`
     both give all corners and about so many points between them. That is what `fit_contour` wants of a drawing
     with corners, and a `smallest_radius` to round them to. An SVG's y, which points down, is turned up. A
-    drawing's own unit, where it states one, must agree with `unit`. What a drawing hides is left out, and
-    what it shows without any paint, unless nothing has any; text and pictures are no outlines. Lines and
-    curves whose ends meet, to a millionth of the drawing's size, are one outline, unless more than two meet
-    at a place.
+    drawing's own unit, or that behind the names at a table's head, `x [mm], y [mm]`, where one is stated,
+    must agree with `unit`. What a drawing hides is left out, and what it shows without any paint, unless
+    nothing has any; text and pictures are no outlines. Lines and curves whose ends meet, to a millionth of
+    the drawing's size, are one outline, unless more than two meet at a place.
 
     Args:
         path: The file.
@@ -84,6 +84,7 @@ def read_points(
     chosen, fill = _columns("columns", columns, 2), check_flag("fill", fill)
     if kind in (".svg", ".dxf"):
         return drawn(path, scale, which, samples, fill=fill)[0]
+    check_unit(path, chosen, unit)
     return scale * (read_npy if kind == ".npy" else read_csv)(path, chosen)
 
 
@@ -118,7 +119,8 @@ def read_cloud(
         normals of a PLY are its own, if it has some.
 
     Raises:
-        ValueError: If the file holds no such points or a number that is not finite.
+        ValueError: If the file holds no such points or a number that is not finite, or its head states
+            another unit.
         ImportError: For a PLY without the extra `cad`.
 
     Example:
@@ -134,6 +136,7 @@ def read_cloud(
     if path.suffix.lower() == ".ply":
         points, found = read_ply_points(path)
         return scale * points, found
+    check_unit(path, chosen, unit)
     table = (read_npy if path.suffix.lower() == ".npy" else read_csv)(path, (*chosen, *others))
     return scale * table[:, :3], table[:, 3:] if others else None
 
@@ -145,7 +148,7 @@ def write_outline(contour: AbstractContour, path: str | Path, *, unit: str, tole
     Args:
         contour: Closed, or open with ends.
         path: The file; its ending says which kind. Folders are made if need be.
-        unit: Of the numbers written: "m", "cm", "mm", "um" or "in". SVG and DXF also state it themselves.
+        unit: Of the numbers written: "m", "cm", "mm", "um" or "in". All but NPY state it themselves.
         tolerance: Largest distance [m] of the outline's straight pieces from the contour.
 
     Returns:

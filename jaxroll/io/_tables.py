@@ -16,6 +16,8 @@ from .._results import shown
 
 # Tables of fewer lines are read line by line.
 _LONG = 1000
+# The unit of a column, behind its name at the head of a table, and how many bytes of a file may be its head.
+_UNIT, _HEAD = re.compile(r".*\[(m|cm|mm|um|in)\]"), 4096
 # What begins like a number: a digit, perhaps after signs of any typography, brackets and a decimal mark.
 _LIKE = re.compile(r"""[\s("'+\-\u00b1\u2010-\u2015\u2212\ufe63\uff0b\uff0d]*[.,]?\d""")
 
@@ -79,6 +81,24 @@ def _no_numbers(number: int, line: str, path: Path) -> ValueError:
         f"argument path must name a table of finite numbers, but line {number} of {path.name} "
         f"was {shown(line)}"
     )
+
+
+def check_unit(path: Path, columns: tuple[int, ...], unit: str) -> None:
+    """Raise where the head of a table states another unit for these columns, as in "# x [mm], y [mm]"."""
+    if path.suffix.lower() == ".npy":
+        return
+    with path.open("rb") as file:
+        head = file.read(_HEAD).decode("latin-1").splitlines()
+    for line in head:
+        fields = _fields(line.strip().lstrip("#"))
+        if _numbers(fields, columns) is not None:
+            return
+        found = [_UNIT.fullmatch(fields[i]) for i in columns if i < len(fields)]
+        other = [each[1] for each in found if each is not None and each[1] != unit]
+        if other:
+            raise ValueError(
+                f"argument unit must agree with {path.name}, whose head states {other[0]!r}, but was {unit!r}"
+            )
 
 
 def table_width(path: Path) -> int:

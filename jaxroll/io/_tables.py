@@ -17,7 +17,7 @@ from .._results import shown
 # Tables of fewer lines are read line by line.
 _LONG = 1000
 # The unit of a column, behind its name at the head of a table, and how many bytes of a file may be its head.
-_UNIT, _HEAD = re.compile(r".*\[(m|cm|mm|um|in)\]"), 4096
+_UNIT, _HEAD = re.compile(r".*\w\s*\[(m|cm|mm|um|in)\]"), 4096
 # What begins like a number: a digit, perhaps after signs of any typography, brackets and a decimal mark.
 _LIKE = re.compile(r"""[\s("'+\-\u00b1\u2010-\u2015\u2212\ufe63\uff0b\uff0d]*[.,]?\d""")
 

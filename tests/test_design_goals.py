@@ -297,6 +297,16 @@ def test_a_goal_aims_at_what_its_first_case_has(monkeypatch, given, wanted):
         goal.aimed(jxr.Circle(0.01))
 
 
+@pytest.mark.parametrize(
+    ("found", "wanted"), [((3e-7, 4e-3), 4e-3), ((-1e-9, 4e-3), 4e-3), ((-1e-3, 4e-3), 1e-3)]
+)
+def test_a_stiffness_near_zero_is_no_scale(monkeypatch, found, wanted):
+    """By it the cost of what is reached would be thousands, and no limit would be kept beside that."""
+    monkeypatch.setattr(_firmness, "_first", lambda *args: (jnp.array([found]), jnp.array([0])))
+    assert float(Firmness(on_plate).aimed(jxr.Circle(0.01)).scale) == wanted
+    assert float(Firmness(on_plate, scale=2.0).aimed(jxr.Circle(0.01)).scale) == 2.0
+
+
 def test_what_firmness_measures_and_reports(monkeypatch):
     at = types.SimpleNamespace(
         curvatures=jnp.array([4.0, 5.0]),

@@ -40,6 +40,8 @@ _NAMES = {
 }
 # Curvatures and rates that are negative by less than this share of the largest count as zero.
 _NONE = 1e-7
+# A stiffness below this share of the other one is no measure of what a search may reach.
+_SOFT = 0.01
 # Where a fingertip passes from unstable to stable, an eigenvalue of the Hessian is zero, and the place at
 # rest changes infinitely fast with the shape: below this share of the Hessian's size that derivative is
 # damped (`pinch_rest`).
@@ -72,7 +74,9 @@ class Firmness(AbstractGoal):
         cases: A pytree of arrays with a leading axis. Default: one case.
         measure: 'stiffness' (default), 'curvature' or 'rate'.
         neutral: How many directions are left out. Default: as many as the first start has.
-        scale: What counts as one in the cost, in the measure's unit. Default: its size at the first start.
+        scale: What counts as one in the cost, in the measure's unit. Default: its size at the first start; of
+            a stiffness near zero there, as of round fingertips about $O_i$ on a plate, the size of the other
+            eigenvalue.
 
     Raises:
         ValueError: If `make` cannot be called so, `cases` have no common leading axis, `measure` is none of
@@ -120,7 +124,9 @@ class Firmness(AbstractGoal):
                 f"argument tip must have an equilibrium in the first case{alone}, but none was found"
             )
         left_out = int(neutral[0]) if self.neutral is None else self.neutral
-        scale = np.sort(np.abs(values[0]))[left_out] if self.scale is None else self.scale
+        sizes = np.sort(np.abs(values[0]))
+        soft = self.measure == "stiffness" and sizes[left_out] < _SOFT * sizes[-1]
+        scale = sizes[-1 if soft else left_out] if self.scale is None else self.scale
         more = {"measure": self.measure, "neutral": left_out, "scale": scale}
         return Firmness(self.make, cases=self.cases, **more)
 

@@ -574,6 +574,24 @@ def test_a_sample_at_a_jump_is_asked_after_it(moved_ends):
     np.testing.assert_allclose(slope.last.q, onesided, rtol=1e-5)
 
 
+def test_the_first_sample_of_a_run_that_begins_at_a_jump_is_asked_after_it(moved_ends):
+    """As a sample at a jump within a run is; derivatives in a blow go through what the sample asks for."""
+    told, grasp = {"t1": 0.003, "ts": np.array([0.0, 0.0015, 0.003])}, driven_plate()[0]
+    found = lambda spin: moved_ends(told | {"blow": 0.0, "spin": spin}, {"spin": 1.0})  # noqa: E731
+    ends, slope, _ = found(2e-5)
+    held = ends.states.memory
+    struck = jxr.State(ends.states.q[0], ends.states.v[0], ends.states.s[0])
+    np.testing.assert_allclose(held[0, 1:2], jxr.torques(grasp, 0.0, struck)[0], rtol=1e-12)
+    np.testing.assert_allclose(held[:, 2], [0.002, 0.002, 0.004], rtol=1e-14)
+    near = [found(spin)[0].last for spin in (1e-5, 3e-5)]
+    for part in ("q", "memory"):
+        less, more = (getattr(last, part) for last in near)
+        np.testing.assert_allclose(getattr(slope.last, part), (more - less) / 2e-5, rtol=1e-6, atol=1e-9)
+    # A command's jump whose time is that of the start but for rounding.
+    later = moved_ends(told | {"step": 1e-19})[0].states.memory
+    np.testing.assert_allclose(later[0, 1:2], jxr.torques(grasp.with_(force=0.8), 0.0, struck)[0], rtol=1e-2)
+
+
 def test_a_batch_of_periods_and_keys(plate):
     ts = np.array([0.01, 0.02, 0.03])
     last = lambda period, key: pressed_seldom(plate, ts, period, noise=1e-4, key=key).last.q  # noqa: E731

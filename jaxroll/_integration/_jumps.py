@@ -136,6 +136,12 @@ def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
     return is_short(t0, t1) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
 
 
+def is_one(grasp: Grasp, t: Scalar) -> Scalar | None:
+    """Whether something jumps at a time; None of a grasp that declares no jumps."""
+    times = [jax.lax.stop_gradient(jnp.ravel(jumps)).astype(t.dtype) for jumps in grasp.jumps]
+    return jnp.any(jnp.concatenate([jnp.abs(time - t) <= grain(time) for time in times])) if times else None
+
+
 def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, *, rates: Array) -> Array:
     """The vector x at the start of a step, moved with the time of a jump if the step is one of the two there.
 

@@ -65,10 +65,11 @@ def check_due(grasp: Grasp, state: State, t0: Scalar) -> None:
         )
 
 
-def begun(grasp: Grasp, state: State, t0: Scalar) -> State:
+def begun(grasp: Grasp, state: State, t0: Scalar, *, waits: Scalar | None = None) -> State:
     """The state at the start of a run whose controller has a memory: with its own memory, or the initial one.
 
-    If a sample is due there, it is taken.
+    If a sample is due there, it is taken. Where it `waits` for a jump at the start, such as a blow, its
+    torques are held until then, for contacts to be pressed by, and the sample is taken after it.
     """
     memory, first = state.memory, grasp.memory
     if memory is None:
@@ -78,6 +79,10 @@ def begun(grasp: Grasp, state: State, t0: Scalar) -> State:
         leaves = to_leaves(State(state.q, state.v, state.s, memory), grasp.form)
         due = grasp.controller.due(t0, leaves.memory)
         after = stacked(_asked(grasp, t0, leaves))
+        if waits is not None:
+            pressing = slice(-1 - sum(finger.joints for finger in grasp.fingers), -1)
+            held = memory.at[pressing].set(after[pressing]).at[-1].set(jax.lax.stop_gradient(t0))
+            after = jnp.where(waits, held, after)
         memory = jnp.where(due, after, memory)
     return State(state.q, state.v, state.s, memory)
 

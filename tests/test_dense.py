@@ -101,5 +101,12 @@ def test_dense_output_across_samples_jumps_and_an_early_end(scene):
     ends = lost(float(lost.stats.t_end) + np.array([-1e-6, 0.0, 1e-6, 1e-5, 1e-4, 1e-3]))
     np.testing.assert_allclose(ends.q[1], lost.last.q, rtol=0, atol=1e-13)
     assert np.isfinite(ends.q[:2]).all() and np.isnan(ends.q[2:]).all()
+    # A jump that a sampled run did not come to.
+    acted = grasp.with_(controller=jxr.control.Sampled(pulled.controller, 0.01))
+    sampled = jxr.simulate(acted, state, 0.1, ts=at_end, rtol=1e-10, record=("dense",), throw=False)
+    end = float(sampled.stats.t_end)
+    assert str(sampled.result) == "contact_lost" and end < 0.07
+    reached = np.isfinite(sampled(np.array([0.0, end - 1e-6, end, end + 1e-6, 0.07, 0.08])).q).all(axis=-1)
+    np.testing.assert_array_equal(reached, [True] * 3 + [False] * 3)
     with jax.enable_x64(False), pytest.raises(ValueError, match="argument run must be of single precision"):
         lost(0.01)

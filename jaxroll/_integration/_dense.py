@@ -51,13 +51,14 @@ def states_at(dense: Dense, ts: Float[Array, "..."]) -> State:
 
 def _vector_at(dense: Dense, t: Scalar) -> Array:
     """The flow vector at one time."""
+    last = row(dense.ts, dense.count)
     if dense.grasp.sampled and dense.grasp.jumps:
         # At a jump it is the state after the jump, as saved ones are, and after a sample that is due there.
-        waits = pending(dense.grasp(), t)
-        t = jnp.where(waits, jnp.minimum(t + 2.0 * grain(t), row(dense.ts, dense.count)), t)
+        waits = pending(dense.grasp(), t) & (t <= last)
+        t = jnp.where(waits, jnp.minimum(t + 2.0 * grain(t), last), t)
     # The first step has no length: of two that begin at one time the later one carries a slope.
     k = jnp.clip(jnp.searchsorted(dense.ts, t, side="right").astype(dense.count.dtype) - 1, 0, dense.count)
     begin = row(dense.ts, k)
-    inside = (t >= begin) & (t <= row(dense.ts, dense.count))
+    inside = (t >= begin) & (t <= last)
     end = dense.stepper.advance(dense.grasp, begin, jnp.where(inside, t, begin), row(dense.ys, k))[0]
     return jnp.where(inside, end, jnp.nan)

@@ -56,7 +56,8 @@ class Sampled(AbstractController):
     respect to the period, the first sample or anything in the law is right. What is held is a part of the
     state (`states.memory`: the memory of the law inside, the torques, the time of the next sample [s]), so
     that a run that goes on from a saved state goes on with what was held there. Before the first sample
-    torques are zero; a state without memory begins with a sample, unless the first one is yet to come.
+    torques are zero; a state without memory begins with a sample, unless the first one is yet to come. At
+    a declared jump, such as a blow, samples are taken after it, also where a run begins there.
 
     Between samples a law inside with a memory is at rest: that of `Integral` moves at samples by the period
     times its rate (Euler's step), and a function of your own returns as its second result the memory of the

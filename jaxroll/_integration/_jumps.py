@@ -136,8 +136,8 @@ def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
     return is_short(t0, t1) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
 
 
-def is_one(grasp: Grasp, t: Scalar) -> Scalar | None:
-    """Whether something jumps at a time; None of a grasp that declares no jumps."""
+def jumps_at(grasp: Grasp, t: Scalar) -> Scalar | None:
+    """Whether a declared jump is at a time, but for rounding; None of a grasp that declares none."""
     times = [jax.lax.stop_gradient(jnp.ravel(jumps)).astype(t.dtype) for jumps in grasp.jumps]
     return jnp.any(jnp.concatenate([jnp.abs(time - t) <= grain(time) for time in times])) if times else None
 

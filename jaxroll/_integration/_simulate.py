@@ -63,7 +63,7 @@ from ._contact_impulses import blow_times, contact_impulses, merged, times_befor
 from ._dense import Dense
 from ._derivative import march, moving_as, moving_if_successful, moving_in_time
 from ._events import check_overlaps, decode_joints, EVENTS, whose
-from ._jumps import beside, is_one, lateness, ordered, with_blows
+from ._jumps import beside, jumps_at, lateness, ordered, with_blows
 from ._methods import check_method, Seeing, Steady, with_tolerances
 from ._report import complaint
 from ._run import Path, Plan
@@ -238,7 +238,7 @@ def _run(
     lay = layout(grasp, "energy" in setup.record)
     if lay.form.memory:
         begin = jnp.asarray(numbers.t0)
-        state = begun(ready, state, begin, waits=is_one(ready, begin) if lay.form.sampled else None)
+        state = begun(ready, state, begin, waits=jumps_at(ready, begin) if lay.form.sampled else None)
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events, setup.sweeps)
     given = Numbers(*map(jnp.asarray, numbers))

@@ -17,6 +17,7 @@ where they move together. `_run` and `_step` call this module in a run, `_simula
 without declared jumps has none of it.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -97,11 +98,20 @@ def pending(grasp: Grasp, t: Scalar) -> Scalar:
 
     A sample that is due there is taken after the third, when commands have jumped and blows were dealt.
     """
+    return _is_one(grasp, t, lambda ahead: (ahead > -0.5) & (ahead < 1.5))
+
+
+def jumps_at(grasp: Grasp, t: Scalar) -> Scalar:
+    """Whether something jumps at a time, but for rounding."""
+    return _is_one(grasp, t, lambda ahead: jnp.abs(ahead) <= 1.0)
+
+
+def _is_one(grasp: Grasp, t: Scalar, right: Callable[[Array], Array]) -> Scalar:
+    """Whether a declared jump is the right number of grains ahead of a time."""
     found = jnp.asarray(False)
     for jumps in grasp.jumps:
         times = jax.lax.stop_gradient(jnp.ravel(jumps)).astype(t.dtype)
-        ahead = (times - t) / grain(times)
-        found |= jnp.any((ahead > -0.5) & (ahead < 1.5))
+        found |= jnp.any(right((times - t) / grain(times)))
     return found
 
 
@@ -134,12 +144,6 @@ def hits(t0: Scalar, t1: Scalar, time: Scalar) -> Scalar:
     t0, t1, time = jax.lax.stop_gradient((t0, t1, time))
     near = 0.5 * grain(time)
     return is_short(t0, t1) & (jnp.abs(t1 - time) <= near) & (time - t0 > near)
-
-
-def jumps_at(grasp: Grasp, t: Scalar) -> Scalar | None:
-    """Whether a declared jump is at a time, but for rounding; None of a grasp that declares none."""
-    times = [jax.lax.stop_gradient(jnp.ravel(jumps)).astype(t.dtype) for jumps in grasp.jumps]
-    return jnp.any(jnp.concatenate([jnp.abs(time - t) <= grain(time) for time in times])) if times else None
 
 
 def moved(grasp: Grasp, t0: Scalar, t1: Scalar, x: Array, *, rates: Array) -> Array:

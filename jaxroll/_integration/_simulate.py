@@ -238,7 +238,8 @@ def _run(
     lay = layout(grasp, "energy" in setup.record)
     if lay.form.memory:
         begin = jnp.asarray(numbers.t0)
-        state = begun(ready, state, begin, waits=jumps_at(ready, begin) if lay.form.sampled else None)
+        waits = jumps_at(ready, begin) if lay.form.sampled and ready.jumps else None
+        state = begun(ready, state, begin, waits=waits)
     y0 = vector_of(lay, state)
     stepper = RollingStep(setup.solver, formulation, lay, setup.events, setup.sweeps)
     given = Numbers(*map(jnp.asarray, numbers))
